@@ -52,6 +52,7 @@ from .jobs.import_data import ImportRun as ImportRun
 from .jobs.import_data import run_import as run_import
 from .jobs.import_data import suggest_map as suggest_map
 from .jobs.model_update import ModelUpdate as ModelUpdate
+from .jobs.model_update import UpdateTask as UpdateTask
 from .jobs.model_update import run_model_update as run_model_update
 from .jobs.modes import ModesRun as ModesRun
 from .jobs.modes import run_modes as run_modes
@@ -63,6 +64,7 @@ from .jobs.plan import PlanRun as PlanRun
 from .jobs.plan import run_plan as run_plan
 from .jobs.plants import load_plant as load_plant
 from .jobs.play import play as play
+from .jobs.record import RigSource as RigSource
 from .jobs.record import record as record
 from .jobs.rounds import RoundsRun as RoundsRun
 from .jobs.rounds import read_correction as read_correction

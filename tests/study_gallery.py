@@ -22,7 +22,7 @@ from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.hw.simulation.rigfile import RigFile
 from tepm_opt.jobs.discrepancy import VERDICT, run_discrepancy
 from tepm_opt.jobs.identify import open_datasets, run_identify
-from tepm_opt.jobs.record import record
+from tepm_opt.jobs.record import RigSource, record
 from tepm_opt.solvers.text import with_deviation
 
 GALLERY = ("one_module", "hanging", "four_muscles", "slim")
@@ -84,7 +84,7 @@ def recorded(name: str, folder: Path) -> Told:
         found.reseed(seed)
         return found
 
-    record(plan, folder / "data", rig, "payload")
+    record(plan, folder / "data", RigSource("payload", rig))
     findings = [f.severity for f in tepm.run_check(folder / "data").findings]
     seconds = sum(float(run.setpoints.time[-1]) for run in plan.runs)
     return {"runs": len(plan.runs), "seconds": seconds, "errors": findings.count("error"), "warnings": findings.count("warning")}

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from importlib import import_module
+from pathlib import Path
 
 import pytest
 
-from tepm_opt import Directions, Linear, Model
+from tepm_opt import Directions, Linear, LoopSetup, Model
 from tepm_opt.control.references.reference import Reference
 
 MOVED = {
@@ -53,3 +54,11 @@ def test_a_method_is_found_by_its_old_name(kind: type, old: str, new: str) -> No
 def test_the_old_name_of_a_method_does_the_same() -> None:
     with pytest.deprecated_call():
         assert Model.of("kang2017") == Model.from_robot("kang2017")
+
+
+def test_the_warning_of_an_old_name_stands_where_it_is_used() -> None:
+    old = "LoopSetup.of is now LoopSetup.from_options; the old name goes with version 0.4"
+    with pytest.warns(DeprecationWarning, match=old) as told:
+        found = LoopSetup.of("mode1", "bench", 3, {})
+    assert found == LoopSetup.from_options("mode1", "bench", 3, {}) != LoopSetup()
+    assert Path(told[0].filename) == Path(__file__)

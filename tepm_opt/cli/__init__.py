@@ -36,7 +36,7 @@ SPELT = {
 
 
 def spelt(error: UnicodeError) -> tuple[str | bytes, int]:
-    """What a stream writes in the place of characters that it does not know; a handler of encoding errors.
+    """Replace characters that a stream cannot encode by ones that it can; a handler of encoding errors.
 
     Raises:
         UnicodeError: of decoding.

@@ -15,7 +15,7 @@ from tepm_opt.cli.common import SOLVED, UNSOLVED, JsonOption, stdout
 from tepm_opt.cli.excite import excite
 from tepm_opt.cli.groups import spread
 from tepm_opt.cli.next_run import next_run
-from tepm_opt.cli.progress import shown
+from tepm_opt.cli.progress import show_progress
 from tepm_opt.errors import InputError
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ def import_tables(
         from tepm_opt.jobs.import_data import refuse_taken
 
         refuse_taken(out)
-    with shown(as_json) as bars:
+    with show_progress(as_json) as bars:
         run = tepm.run_import(files, map_file, out.name if out else "", bars)
     if not as_json:
         _preview(run)
@@ -146,7 +146,7 @@ def check(
 
     Exit status: 0 no errors (warnings at most), 1 errors, 2 not readable at all.
     """
-    with shown(as_json) as bars:
+    with show_progress(as_json) as bars:
         run = tepm.run_check(dataset, bars)
     status = SOLVED if run.ok else UNSOLVED
     if as_json:

@@ -12,7 +12,7 @@ import tepm_opt as tepm
 from tepm_opt import plots
 from tepm_opt.cli import gain, ik
 from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, load, report
-from tepm_opt.cli.progress import shown
+from tepm_opt.cli.progress import show_progress
 from tepm_opt.data.files import output_folder
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ PAGE = "index.html"
 
 
 def lines(run: DemoRun, out: Path) -> list[str]:
-    """What a run says to people."""
+    """Summarize a demo in lines for the terminal."""
     text = [*(ik.lines(run.hybrid, out) if run.hybrid else ()), *(gain.lines(run.gains, out) if run.gains else ())]
     if run.loops:
         errors = ", ".join(f"{name} {1e3 * loop.rms(true=True):.3g}" for name, loop in run.loops.items())
@@ -40,7 +40,7 @@ def demo(
 ) -> int:
     """The main job: the paper's circle, set points for every actuator, G at every point, closed loops, figures and one HTML page."""
     folder, compiled = output_folder(out), load(robot, model)
-    with shown(as_json) as progress:
+    with show_progress(as_json) as progress:
         run = tepm.run_demo(compiled, progress=progress)
     run.save(folder)
     if run.interrupted:

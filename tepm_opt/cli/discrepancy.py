@@ -15,7 +15,7 @@ import tepm_opt as tepm
 from tepm_opt import plots
 from tepm_opt.cli import INTERRUPTED
 from tepm_opt.cli.common import SOLVED, UNSOLVED, JsonOption, stdout, warn
-from tepm_opt.cli.progress import shown
+from tepm_opt.cli.progress import show_progress
 
 PAGE = "report.html"
 
@@ -57,7 +57,7 @@ def discrepancy(
     from tepm_opt.solvers.text import align_columns
 
     try:
-        with shown(as_json, told=True) as progress:
+        with show_progress(as_json, told=True) as progress:
             Thread(target=_import_what_comes_last, daemon=True).start()  # a second, beside the search
             result = tepm.run_discrepancy(
                 dataset, out, model, seed, despite_errors, progress, plant, invent, add or (), mend, baseline, minutes

@@ -70,7 +70,7 @@ class DriveOptions(OptionGroup):
         Raises:
             InputError: no such controller, or a setting that it does not have.
         """
-        return tepm.LoopSetup.of(self.controller, rig, seed, {"use": self.use} if self.use else {})
+        return tepm.LoopSetup.from_options(self.controller, rig, seed, {"use": self.use} if self.use else {})
 
     def course(self, setup: LoopSetup) -> Course:
         """Laps, stays, obstacles and pace of the run.

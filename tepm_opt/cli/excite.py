@@ -12,7 +12,7 @@ from rich.table import Table
 
 import tepm_opt as tepm
 from tepm_opt.cli.common import SOLVED, UNSOLVED, JsonOption, ModelOption, RobotOption, stdout
-from tepm_opt.cli.progress import shown
+from tepm_opt.cli.progress import show_progress
 from tepm_opt.errors import InputError
 
 
@@ -34,7 +34,7 @@ def excite(
     """
     if robot and model:
         raise InputError("--robot and --model exclude each other: the model file names its robot")
-    with shown(as_json) as progress:
+    with show_progress(as_json) as progress:
         run = tepm.run_excite(tepm.read_model(model) if model else tepm.Model.from_robot(robot or "kang2017"), noise, progress)
     run.save(out)
     summary = run.summary()

@@ -13,7 +13,7 @@ from rich.markup import escape
 import tepm_opt as tepm
 from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, load, report, warn
 from tepm_opt.cli.groups import TRAJECTORY_HELP, IkOptions, TrajectoryOptions, spread
-from tepm_opt.cli.progress import shown
+from tepm_opt.cli.progress import show_progress
 from tepm_opt.data.files import output_folder
 
 app = typer.Typer(
@@ -22,8 +22,8 @@ app = typer.Typer(
 )
 
 
-def _told(files: Sequence[Path], as_json: bool, hint: str, without: Mapping[str, str] | None = None) -> int:
-    """Tell what was written; the exit status.
+def _report_files(files: Sequence[Path], as_json: bool, hint: str, without: Mapping[str, str] | None = None) -> int:
+    """Report the files that were written; return the exit status.
 
     Args:
         files: that were written.
@@ -46,7 +46,7 @@ def c(
 ) -> int:
     """Statics, gain and motion in C: header, code without a library or memory of its own, example, CMakeLists.txt."""
     files = tepm.export_c(load(robot, model), out)
-    return _told(files, as_json, "robot.h says how to call it; cmake -B build && cmake --build build && build/example < inputs.txt")
+    return _report_files(files, as_json, "robot.h says how to call it; cmake -B build && cmake --build build && build/example < inputs.txt")
 
 
 def casadi(
@@ -57,7 +57,7 @@ def casadi(
 ) -> int:
     """Network, statics, gain and motion as CasADi's function files, for Python, C++, MATLAB and Octave."""
     files = tepm.export_casadi(load(robot, model), out)
-    return _told(files, as_json, f"casadi.Function.load({str(out / 'statics.casadi')!r}); arguments and results have names")
+    return _report_files(files, as_json, f"casadi.Function.load({str(out / 'statics.casadi')!r}); arguments and results have names")
 
 
 def mjcf(
@@ -70,7 +70,7 @@ def mjcf(
     compiled = load(robot, model)
     path = output_folder(out) / "robot.xml"
     left_out = tepm.export_mjcf(compiled, path)
-    return _told([path], as_json, "controls are pressures in Pa, then tensions in N; the world is the tracker's frame G", left_out)
+    return _report_files([path], as_json, "controls are pressures in Pa, then tensions in N; the world is the tracker's frame G", left_out)
 
 
 def urdf(
@@ -83,7 +83,7 @@ def urdf(
 
     path = output_folder(out) / "robot.urdf"
     export_urdf(tepm.load_robot(robot or "kang2017"), path)
-    return _told([path], as_json, "examples/ros2 has a package that shows it; --ros of tepm mpc publishes its /joint_states")
+    return _report_files([path], as_json, "examples/ros2 has a package that shows it; --ros of tepm mpc publishes its /joint_states")
 
 
 def controller(
@@ -101,10 +101,12 @@ def controller(
     from tepm_opt.jobs.course import FULL
 
     targets, compiled = which.trajectory(path), load(robot, model)
-    with shown(as_json) as bars:
+    with show_progress(as_json) as bars:
         reference = tepm.whole_reference(compiled, targets, replace(FULL, laps=laps, stay=stay), kinematics.settings(), bars)
     files = tepm.export_controller(compiled, reference, out)
-    return _told(files, as_json, "controller.h says how to call it; cmake -B build && cmake --build build; build/example reads samples")
+    return _report_files(
+        files, as_json, "controller.h says how to call it; cmake -B build && cmake --build build; build/example reads samples"
+    )
 
 
 def mcap(
@@ -113,7 +115,7 @@ def mcap(
     as_json: JsonOption = False,
 ) -> int:
     """Write logs and data sets for Foxglove, rerun and PlotJuggler."""
-    return _told(tepm.export_mcap(source, out), as_json, "topics: /log with all columns, /points where there are reference points")
+    return _report_files(tepm.export_mcap(source, out), as_json, "topics: /log with all columns, /points where there are reference points")
 
 
 for command in (c, casadi, mjcf, urdf, controller, mcap):

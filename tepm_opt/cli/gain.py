@@ -12,7 +12,7 @@ import tepm_opt as tepm
 from tepm_opt import plots
 from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, load, report, unsolved_lines
 from tepm_opt.cli.groups import WorkerOptions
-from tepm_opt.cli.progress import shown
+from tepm_opt.cli.progress import show_progress
 from tepm_opt.data.files import output_folder
 from tepm_opt.errors import InputError, unknown_name
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def lines(run: GainRun, out: Path) -> list[str]:
-    """What a run says to people."""
+    """Summarize gain matrices in lines for the terminal."""
     text = [
         f"[bold]G at {sum(gain is not None for gain in run.gains)} of {len(run.gains)}[/] operating points, files in {escape(str(out))}"
     ]
@@ -49,7 +49,7 @@ def gain(
         raise unknown_name("reference point", point, names)
     setpoints = tepm.read_setpoints(inputs, compiled.layout.actuator_names, compiled.input_max)
     folder = output_folder(out)
-    with workers.opened() as executor, shown(as_json) as progress:
+    with workers.opened() as executor, show_progress(as_json) as progress:
         run = tepm.run_gain(compiled, setpoints, names.index(point) if point else -1, with_map, progress, executor)
     run.save(folder)
     plots.draw(run, folder)

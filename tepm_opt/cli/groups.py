@@ -43,8 +43,8 @@ class OptionGroup:
             yield inspect.Parameter(entry.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=hints[entry.name])
 
     @classmethod
-    def of(cls, given: Mapping[str, Any]) -> Self:
-        """The group with the values that a person gave, by the names of its options."""
+    def from_options(cls, given: Mapping[str, Any]) -> Self:
+        """Build the group from the values that a person gave, by the names of its options."""
         return cls(**given)
 
 
@@ -86,7 +86,7 @@ def spread(command: Command) -> Command:
             from tepm_opt.models.effect_files import load_effects
 
             load_effects(files)
-        made = {name: groups[name].of({option: given.pop(option) for option in options}) for name, options in names.items()}
+        made = {name: groups[name].from_options({option: given.pop(option) for option in options}) for name, options in names.items()}
         return command(**given, **made)
 
     spread_out.__doc__ = command.__doc__
@@ -113,7 +113,7 @@ class IkOptions(OptionGroup):
 
 @dataclass(frozen=True)
 class WorkerOptions(OptionGroup):
-    """Where many independent pieces of work run, for every command that has them."""
+    """Options of the workers that share independent pieces of work, for every command that has them."""
 
     jobs: Annotated[int | None, typer.Option("--jobs", min=1, metavar="N", help="Processes for what is independent.")] = None
     scheduler: Annotated[
@@ -165,14 +165,14 @@ class ShapeOptions(OptionGroup):
             yield _option(parameter, f"{parameter.text[0].upper()}{parameter.text[1:]} of {' and '.join(shapes)}")
 
     @classmethod
-    def of(cls, given: Mapping[str, Any]) -> Self:
-        """The values that a person gave, places as numbers.
+    def from_options(cls, given: Mapping[str, Any]) -> Self:
+        """Build the group from the values that a person gave, with places as numbers.
 
         Raises:
             InputError: a place without its numbers.
         """
         values: dict[str, Any] = {}
-        for name, (parameter, _) in _known().items():
+        for name, (parameter, _) in _collect_trajectory_parameters().items():
             value = given.get(name)
             if value is not None:
                 values[name] = vector(value, f"--{parameter.option}", parameter.count) if parameter.count > 1 else value
@@ -188,13 +188,13 @@ class ShapeOptions(OptionGroup):
         Raises:
             InputError: an option out of range or that does not fit the trajectory, an unknown shape, or as for `read_trajectory`.
         """
-        for key, (parameter, _) in _known().items():
+        for key, (parameter, _) in _collect_trajectory_parameters().items():
             if key in self.given:
                 parameter.check(self.given[key], f"--{parameter.option}")
         shape = SHAPES.get(name)
         fits = {"points", "duration", *(parameter.name for parameter in shape.parameters)} if shape else {"points", "duration"}
         if misfits := sorted(self.given.keys() - fits):
-            raise InputError(f"option --{_known()[misfits[0]][0].option} does not fit trajectory {name!r}")
+            raise InputError(f"option --{_collect_trajectory_parameters()[misfits[0]][0].option} does not fit trajectory {name!r}")
         if shape is not None and model is None:
             return shape.make(**self.given)
         if shape is not None and model is not None:
@@ -242,8 +242,8 @@ class PathOptions(ShapeOptions):
         return PathOptions({**self.given, **{name: value for name, value in ends.items() if value is not None}})
 
 
-def _known() -> dict[str, tuple[ShapeParameter, tuple[str, ...]]]:
-    """Everything that can be chosen of a trajectory but its number of points, in the order of the options."""
+def _collect_trajectory_parameters() -> dict[str, tuple[ShapeParameter, tuple[str, ...]]]:
+    """Collect all parameters of trajectories but the number of points, in the order of the options."""
     return {DURATION.name: (DURATION, ()), **shape_parameters()}
 
 

@@ -16,7 +16,7 @@ import tepm_opt as tepm
 from tepm_opt.cli import INTERRUPTED
 from tepm_opt.cli.common import SOLVED, UNSOLVED, JsonOption, ModelOption, RobotOption, load, stderr, stdout
 from tepm_opt.cli.groups import WorkerOptions
-from tepm_opt.cli.progress import shown
+from tepm_opt.cli.progress import show_progress
 from tepm_opt.data.files import output_folder
 from tepm_opt.errors import InputError
 from tepm_opt.solvers.prior import JointPrior
@@ -67,7 +67,7 @@ def identify(
             raise InputError(f"robot {compiled.robot.name} has no priors: name the parameters to fit with --free")
         fit = partial(tepm.run_identify, compiled, sets, names, options)
     try:
-        with workers.opened() as executor, shown(as_json) as progress:
+        with workers.opened() as executor, show_progress(as_json) as progress:
             run = fit(progress) if executor is None else fit(progress, executor)
     except KeyboardInterrupt:
         stderr.print("interrupted: nothing was written")

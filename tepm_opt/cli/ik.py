@@ -12,7 +12,7 @@ import tepm_opt as tepm
 from tepm_opt import plots
 from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, given_force, load, report, unsolved_lines, vector
 from tepm_opt.cli.groups import TRAJECTORY_HELP, IkOptions, TrajectoryOptions
-from tepm_opt.cli.progress import shown
+from tepm_opt.cli.progress import show_progress
 from tepm_opt.data.files import output_folder
 from tepm_opt.errors import InputError
 from tepm_opt.solvers.choices import ActuationMode
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def lines(run: IkRun, out: Path) -> list[str]:
-    """What a run says to people."""
+    """Summarize inverse kinematics in lines for the terminal."""
     summary = run.summary()
     text = [f"[bold]{summary['solved']} of {summary['points']}[/] points solved in {run.mode.value} mode, files in {escape(str(out))}"]
     if summary["solved"]:
@@ -57,7 +57,7 @@ def ik(
     if mid_tension is not None and not 0 <= mid_tension <= highest:
         raise InputError(f"--mid-tension {mid_tension:g}; valid: 0 … {highest:g} N")
     targets = which.trajectory(path, compiled)
-    with shown(as_json) as progress:
+    with show_progress(as_json) as progress:
         run = tepm.run_ik(compiled, targets, mode, force, mid_tension, kinematics.settings(), progress)
     run.save(folder)
     plots.draw(run, folder)

@@ -13,7 +13,7 @@ from rich.markup import escape
 import tepm_opt as tepm
 from tepm_opt import plots
 from tepm_opt.cli.common import UNSOLVED, JsonOption, ModelOption, RobotOption, given_force, given_inputs, load, report, warn
-from tepm_opt.cli.progress import shown
+from tepm_opt.cli.progress import show_progress
 from tepm_opt.data.files import output_folder
 from tepm_opt.errors import InputError
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def lines(run: ModesRun, shown: int, out: Path | None) -> list[str]:
-    """What a run says to people."""
+    """Summarize modes in lines for the terminal, with `shown` lines of modes at most."""
     at, held = run.linear.equilibrium, int(run.linear.held.sum())
     tip = ", ".join(f"{1e3 * value + 0.0:.1f}" for value in at.tip.round(9))
     where = f", files in {escape(str(out))}" if out else ""
@@ -122,7 +122,7 @@ def modes(
     if not equilibrium.solved:
         warn(f"no stable operating point: {equilibrium.outcome.message}")
         return UNSOLVED
-    with shown(as_json) as progress:
+    with show_progress(as_json) as progress:
         run = tepm.run_modes(equilibrium, _names(start), _names(end), order, progress)
     if out is not None:
         folder = output_folder(out)

@@ -17,7 +17,7 @@ from tepm_opt.cli import INTERRUPTED
 from tepm_opt.cli.common import UNSOLVED, JsonOption, ModelOption, RobotOption, folder_for, load, open_page, report, stderr, warn
 from tepm_opt.cli.driving import DriveOptions
 from tepm_opt.cli.groups import TRAJECTORY_HELP, IkOptions, OptionGroup, TrajectoryOptions, WorkerOptions
-from tepm_opt.cli.progress import shown
+from tepm_opt.cli.progress import show_progress
 from tepm_opt.cli.rigs import FoxgloveOption, RigOption, RosOption, SeedOption, failed, opener, publisher, robot_there, stopped_by_signals
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def error_line(told: dict[str, Any]) -> str:
 
 
 def clearance_lines(told: dict[str, Any]) -> list[str]:
-    """How near the arm came to obstacles, and how far the path was led round them."""
+    """Summarize the arm's distance to obstacles, and the path's displacement round them, in lines for the terminal."""
     parts = []
     if found := told["true"]:
         parts.append(f"in truth [bold]{1e3 * found['smallest_m']:.3g} mm[/]")
@@ -84,7 +84,7 @@ def clearance_lines(told: dict[str, Any]) -> list[str]:
 
 
 def lines(loop: ClosedLoop, out: Path) -> list[str]:
-    """What a closed loop says to people."""
+    """Summarize a closed loop in lines for the terminal."""
     from tepm_opt.jobs.refit import CHANGED, refit_command
 
     told = loop.summary()
@@ -121,7 +121,7 @@ def lines(loop: ClosedLoop, out: Path) -> list[str]:
 
 
 def round_lines(run: RoundsRun, out: Path) -> list[str]:
-    """What rounds of learning came to, for people."""
+    """Summarize rounds of learning in lines for the terminal."""
     told, kind = run.summary(), "true" if run.knows_truth else "tracked"
     text = [f"[bold]{told['controller']}[/] on {told['rig']}: {len(run.loops)} of {run.asked} rounds, files in {escape(str(out))}"]
     rms = [1e3 * loop.rms(run.knows_truth) for loop in run.loops]
@@ -149,7 +149,7 @@ def _learned(
         as_json: whether the summary alone is printed.
     """
     try:
-        with stopped_by_signals(), view as observer, shown(as_json) as bars:
+        with stopped_by_signals(), view as observer, show_progress(as_json) as bars:
             rounds = drive(observer, bars)
     except (RuntimeError, OSError) as error:
         return failed(error, "rounds that ended are kept")
@@ -232,7 +232,7 @@ def mpc(
         opened = opener(rig, compiled.robot, seed, shows)
         device = opened(seed)
         drive.check_rest(compiled, driven, device)
-        with shown(as_json) as bars:
+        with show_progress(as_json) as bars:
             reference = tepm.whole_reference(compiled, targets, driven, kinematics.settings(), bars)
         if learn is not None or known is not None:
 
@@ -242,7 +242,7 @@ def mpc(
 
             return _learned(rounds, live(view, device, shows), out, folder, as_json)
         try:
-            with stopped_by_signals(), live(view, device, shows) as observer, shown(as_json) as bars:
+            with stopped_by_signals(), live(view, device, shows) as observer, show_progress(as_json) as bars:
                 loop = tepm.run_closed_loop(compiled, reference, device, setup, folder, progress=bars, observer=observer)
         except (RuntimeError, OSError) as error:
             return failed(error, "nothing was finished")

@@ -11,7 +11,7 @@ from rich.markup import escape
 
 import tepm_opt as tepm
 from tepm_opt.cli.common import SOLVED, JsonOption, stdout
-from tepm_opt.cli.progress import shown
+from tepm_opt.cli.progress import show_progress
 
 
 def next_run(
@@ -31,7 +31,7 @@ def next_run(
 
     Record it (tepm record PLAN --out EXTRA), then go on with it (tepm discrepancy DATASET --add EXTRA).
     """
-    with shown(as_json) as progress:
+    with show_progress(as_json) as progress:
         run = tepm.run_next(found, seconds, seed, loads, data or (), despite_errors, progress)
     run.save(out)
     summary = run.summary()

@@ -13,7 +13,7 @@ import tepm_opt as tepm
 from tepm_opt import plots
 from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, load, refuse_far, report, vector, warn
 from tepm_opt.cli.groups import PathOptions
-from tepm_opt.cli.progress import shown
+from tepm_opt.cli.progress import show_progress
 from tepm_opt.data.files import output_folder
 from tepm_opt.data.sizes import refuse_millimetres
 from tepm_opt.errors import InputError
@@ -54,7 +54,7 @@ def obstacle(text: str) -> Obstacle:
 
 
 def lines(run: PlanRun, out: Path) -> list[str]:
-    """What a run says to people."""
+    """Summarize a planned motion in lines for the terminal."""
     if not run.ok:
         return [f"[yellow]no plan: {escape(run.outcome.message)}[/]"]
     told = run.summary()
@@ -121,7 +121,7 @@ def plan(
     inside = KeepOut(compiled, known).at_rest() if known is not None else ""
     if inside := inside or tell_rest_inside(compiled, {text: kept[text] for text in obstacles or ()}):
         warn(inside)
-    with shown(as_json) as progress:
+    with show_progress(as_json) as progress:
         run = tepm.run_plan(compiled, way, objective, duration, tuple(kept.values()), settings, progress)
     run.save(folder)
     plots.draw(run, folder)

@@ -12,7 +12,7 @@ from rich.markup import escape
 import tepm_opt as tepm
 from tepm_opt.cli import INTERRUPTED
 from tepm_opt.cli.common import JsonOption, RobotOption, folder_for, stdout, warn
-from tepm_opt.cli.progress import shown
+from tepm_opt.cli.progress import show_progress
 from tepm_opt.cli.rigs import FoxgloveOption, RigOption, RosOption, SeedOption, failed, opener, publisher, robot_there, stopped_by_signals
 from tepm_opt.progress import with_prefix
 
@@ -41,7 +41,7 @@ def play(
     file = out if out.suffix == ".csv" else out / MEASURED
     left = f"what was measured is in {file.with_suffix('')}-….{UNFINISHED}.csv"
     try:
-        with folder_for(file.parent), stopped_by_signals(), publisher(ros, foxglove) as shows, shown(as_json) as progress:
+        with folder_for(file.parent), stopped_by_signals(), publisher(ros, foxglove) as shows, show_progress(as_json) as progress:
             opened = opener(rig, found, seed, shows)(seed)
             measured = tepm.play(opened, setpoints, found, file, rate, with_prefix(progress, inputs.name))
     except KeyboardInterrupt:

@@ -21,7 +21,7 @@ EVERY = 10.0  # s between lines where there is no terminal
 
 @dataclass
 class _Stage:
-    """How far a stage is.
+    """Progress of a stage.
 
     Attributes:
         began, first: when it was heard of in s of the clock, and how much was done then.
@@ -40,11 +40,11 @@ class _Stage:
         """Whether it may give way to the next one: done, or of unknown length."""
         return not self.of or self.done >= self.of
 
-    def told(self, name: str, now: float) -> str:
-        """How far it is, and about how long the rest takes at the pace so far."""
+    def describe(self, name: str, now: float) -> str:
+        """Describe the progress, and about how long the rest takes at the pace so far."""
         gone, passed = self.done - self.first, now - self.began
         left = f", about {_long(passed * (self.of - self.done) / gone)} left" if self.of > self.done and gone > 0 and passed > 0 else ""
-        return f"{name}: {_passed(self.done, self.of)}{left}" if self.of else name
+        return f"{name}: {_format_amount(self.done, self.of)}{left}" if self.of else name
 
 
 class Bars:
@@ -77,13 +77,15 @@ class Bars:
             at = self._stages[stage]
             at.seen, at.done, at.of = now, done, of
             if not self._display.disable:
-                self._display.update(self._tasks[stage], completed=done, total=of or None, passed=_passed(done, of))
+                self._display.update(self._tasks[stage], completed=done, total=of or None, passed=_format_amount(done, of))
 
     def tell(self) -> None:
         """Say in a line how far all stages are that go on."""
         with self._lock:
             now, stages = time.monotonic(), list(self._stages.items())
-            self._line(escape("; ".join(at.told(name, now) for name, at in stages if at is stages[-1][1] or not at.over) or "working"), now)
+            self._line(
+                escape("; ".join(at.describe(name, now) for name, at in stages if at is stages[-1][1] or not at.over) or "working"), now
+            )
 
     def _line(self, text: str, now: float) -> None:
         stderr.print(f"[dim]{now - self._began:6.1f} s[/]  {text}", highlight=False, soft_wrap=True)
@@ -106,8 +108,8 @@ class Bars:
 
 
 @contextmanager
-def shown(quiet: bool, told: bool = False) -> Iterator[Bars]:
-    """Bars with the time left, which vanish in the end; where the error stream is no terminal, a line every ten seconds.
+def show_progress(quiet: bool, told: bool = False) -> Iterator[Bars]:
+    """Show bars with the time left, which vanish in the end; where the error stream is no terminal, a line every ten seconds.
 
     Args:
         quiet: whether to show nothing, as with --json.
@@ -137,8 +139,8 @@ def _tell_now_and_then(bars: Bars, over: Event) -> None:
         bars.tell()
 
 
-def _passed(done: float, of: float) -> str:
-    """What is done of how much, in whole numbers where both are; nothing where nobody knows."""
+def _format_amount(done: float, of: float) -> str:
+    """Format the amount done of the whole, in whole numbers where both are; empty where the whole is unknown."""
     if not of:
         return ""
     whole = float(done).is_integer() and float(of).is_integer()

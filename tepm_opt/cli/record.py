@@ -12,7 +12,7 @@ from rich.markup import escape
 import tepm_opt as tepm
 from tepm_opt.cli import INTERRUPTED
 from tepm_opt.cli.common import JsonOption, RobotOption, stdout, warn
-from tepm_opt.cli.progress import shown
+from tepm_opt.cli.progress import show_progress
 from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, robot_there, stopped_by_signals
 from tepm_opt.errors import InputError
 
@@ -41,13 +41,13 @@ def record(
         raise InputError(f"--robot {robot}: {plan} names its robot itself; leave the option out, or record the plan {' or '.join(MADE)}")
     planned = _plan_for(str(plan), robot_there(robot, None, rig) or DEFAULT) if str(plan) in MADE else tepm.read_plan(plan)
     try:
-        with stopped_by_signals(), shown(as_json) as bars:
-            done = tepm.record(planned, out, opener(rig, planned.robot, seed), rig, seed, bars, bars.ask)
+        with stopped_by_signals(), show_progress(as_json) as bars:
+            done = tepm.record(planned, out, tepm.RigSource(rig, opener(rig, planned.robot, seed)), seed, bars, bars.ask)
     except KeyboardInterrupt:
-        warn(f"interrupted: {kept(planned, out)}")
+        warn(f"interrupted: {describe_kept_runs(planned, out)}")
         return INTERRUPTED
     except (RuntimeError, OSError) as error:
-        return failed(error, kept(planned, out))
+        return failed(error, describe_kept_runs(planned, out))
     if as_json:
         print(json.dumps(done.summary(), indent=2))
         return 0
@@ -64,8 +64,8 @@ def _plan_for(name: str, robot: str) -> RecordingPlan:
     return tepm.standard(tepm.Model.from_robot(robot), name).plan
 
 
-def kept(plan: RecordingPlan, out: Path) -> str:
-    """Sentence that tells a person how many runs are kept where a recording ended early."""
+def describe_kept_runs(plan: RecordingPlan, out: Path) -> str:
+    """Tell a person in a sentence how many runs are kept where a recording ended early."""
     from tepm_opt.data.datasets import DESCRIPTION, read_description
     from tepm_opt.recording.measure import UNFINISHED
 

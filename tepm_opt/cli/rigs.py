@@ -99,7 +99,7 @@ def opener(text: str, robot: Robot, seed: int, live: RunPublisher | None = None)
 
 
 def failed(error: Exception, kept: str) -> int:
-    """What went wrong in a rig (a simulation that leaves all bounds, a dead line) in one line; the exit status."""
+    """Print in one line why a rig failed (a simulation that leaves all bounds, a dead line); return the exit status."""
     reason = " ".join(str(error).split()) or type(error).__name__
     stderr.print(f"[bold red]the rig failed:[/] {escape(reason)}; {escape(kept)}", soft_wrap=True, highlight=False)
     return UNSOLVED

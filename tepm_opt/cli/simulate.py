@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,7 +14,7 @@ import tepm_opt as tepm
 from tepm_opt import plots
 from tepm_opt.cli import INTERRUPTED
 from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, folder_for, load, report, show_compiling, stderr, warn
-from tepm_opt.cli.progress import shown
+from tepm_opt.cli.progress import show_progress
 from tepm_opt.errors import InputError, unknown_name
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ def sensitivities(names: str | None, model: CompiledModel, method: str) -> Direc
 
 
 def lines(run: SimulateRun, out: Path, took: float, film: Path | None) -> list[str]:
-    """What a simulation says to people, line by line.
+    """Summarize a simulation in lines for the terminal.
 
     Args:
         run: the simulation.
@@ -78,7 +79,7 @@ def lines(run: SimulateRun, out: Path, took: float, film: Path | None) -> list[s
 
 
 def _smaller(film: Path) -> str:
-    """How a large film could be had small."""
+    """Suggest a way to a smaller film; empty where there is none."""
     from tepm_opt.plots.film import INSTALL, find_ffmpeg
 
     if film.suffix != ".gif":
@@ -124,7 +125,7 @@ def simulate(
     chosen: Method = "rk4" if method == "rk4" else "implicit"
     compiled = load(robot, model)
     directions = sensitivities(by, compiled, chosen)
-    task = tepm.read_task(inputs, compiled)
+    task = replace(tepm.read_task(inputs, compiled), hold=hold, directions=directions)
     if hold and task.measured is not None:
         raise InputError(f"--hold: {inputs} has measured points, and inputs of recorded runs change linearly between samples")
     if inputs.resolve() in {(out / name).resolve() for name in (TRAJECTORY, LENGTHS)}:
@@ -133,10 +134,10 @@ def simulate(
         _ = compiled.stepper  # here, so that it does not count as simulating
     kept = "nothing was finished"
     try:
-        with folder_for(out) as folder, shown(as_json) as progress:
+        with folder_for(out) as folder, show_progress(as_json) as progress:
             began = time.perf_counter()
-            lengths = [None if value is None else 1e-3 * value for value in (step, error)]
-            run = tepm.run_simulation(compiled, task, chosen, lengths[0], hold, directions, progress, lengths[1])
+            longest, aim = (None if value is None else 1e-3 * value for value in (step, error))
+            run = tepm.run_simulation(compiled, task, chosen, longest, aim, progress)
             took = time.perf_counter() - began
             run.save(folder)
             kept = f"the tables are in {out}"

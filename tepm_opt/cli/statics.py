@@ -12,7 +12,7 @@ from rich.markup import escape
 import tepm_opt as tepm
 from tepm_opt import plots
 from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, given_force, given_inputs, load, report, unsolved_lines, warn
-from tepm_opt.cli.progress import shown
+from tepm_opt.cli.progress import show_progress
 from tepm_opt.data.files import output_folder
 from tepm_opt.errors import InputError
 
@@ -23,7 +23,7 @@ ROWS = 8  # told to people
 
 
 def lines(run: StaticsRun, out: Path | None) -> list[str]:
-    """What a run says to people."""
+    """Summarize equilibria in lines for the terminal."""
     summary = run.summary()
     text = [f"[bold]{summary['solved']} of {summary['points']}[/] equilibria solved" + (f", files in {escape(str(out))}" if out else "")]
     for k, at in enumerate(run.equilibria[:ROWS]):
@@ -59,7 +59,7 @@ def statics(
         setpoints = tepm.SetPoints.single(given_inputs(compiled, pressures, tensions), given_force(compiled, tip_force))
     if wrong := tell_buckling(compiled):
         warn(f"{compiled.model.source}: {wrong}")
-    with shown(as_json) as progress:
+    with show_progress(as_json) as progress:
         run = tepm.run_statics(compiled, setpoints, progress)
     if folder is not None:
         run.save(folder)

@@ -12,7 +12,7 @@ from rich.table import Table
 
 import tepm_opt as tepm
 from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, load, report, stdout
-from tepm_opt.cli.progress import shown
+from tepm_opt.cli.progress import show_progress
 
 if TYPE_CHECKING:
     from tepm_opt.jobs.tune import TuneRun
@@ -42,7 +42,7 @@ def tune(
     Use a path that reverses every muscle, such as the circle, driven with the same model. The result is a model file for --model.
     """
     compiled = load(robot, model)
-    with shown(as_json) as progress:
+    with show_progress(as_json) as progress:
         run = tepm.run_tune(compiled, log, progress)
     run.save(out)
     if not as_json:

@@ -13,7 +13,7 @@ import tepm_opt as tepm
 from tepm_opt.cli import INTERRUPTED
 from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, folder_for, load, report, warn
 from tepm_opt.cli.groups import TRAJECTORY_HELP, TrajectoryOptions
-from tepm_opt.cli.progress import shown
+from tepm_opt.cli.progress import show_progress
 from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, robot_there, stopped_by_signals
 
 PAGE = "closed.html"
@@ -57,8 +57,9 @@ def update_model(
         opened = opener(rig, known.robot, seed)
         opened(seed)  # a rig that is not there is told before anything is computed
         try:
-            with stopped_by_signals(), shown(as_json) as bars:
-                done = tepm.run_model_update(known.model, targets, opened, rig, folder, planned, seed, further, bars, bars.ask)
+            with stopped_by_signals(), show_progress(as_json) as bars:
+                task = tepm.UpdateTask(known.model, targets, planned, seed, further)
+                done = tepm.run_model_update(task, tepm.RigSource(rig, opened), folder, bars, bars.ask)
         except KeyboardInterrupt:
             warn(f"interrupted: what is finished is in {out}; the same command goes on")
             return INTERRUPTED

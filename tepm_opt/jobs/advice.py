@@ -21,7 +21,7 @@ OTHERS = "record runs in which they would differ, then ask again"
 
 @dataclass(frozen=True)
 class Asked:
-    """What `tepm discrepancy` was asked.
+    """Arguments of a `tepm discrepancy`.
 
     Attributes:
         folder: data set.
@@ -58,8 +58,8 @@ class Asked:
         options += ["--despite-errors"] if self.despite_errors else []
         return _command("discrepancy", *options, *self._own, *more, "--out", self.out)
 
-    def beside(self, result: Discovery, model: Path, *more: str | Path) -> str:
-        """The command that shows a model beside a run, one that was not fitted to where there is one; empty where there is no such run."""
+    def format_comparison_command(self, result: Discovery, model: Path, *more: str | Path) -> str:
+        """Format the command that shows a model beside a run, a validation run if there is one; empty where no run has its own file."""
         runs = sorted(result.dataset.runs, key=lambda run: run.role != "validation")
         file = next((self.folder / run.file for run in runs if (self.folder / run.file).is_file()), None)
         if file is None:
@@ -87,7 +87,7 @@ def advised(result: Discovery, asked: Asked) -> Discovery:
 
 
 def _advice(result: Discovery, asked: Asked) -> tuple[str, str]:
-    """What to do now, in words, and the command for it."""
+    """Advise the next step in words, with the command for it."""
     verdict = result.verdict
     step, status = verdict.next, verdict.status
     if asked.ended_early and status is not VerdictStatus.SETUP_ERROR:
@@ -95,7 +95,7 @@ def _advice(result: Discovery, asked: Asked) -> tuple[str, str]:
     if status in (VerdictStatus.NAMED, VerdictStatus.NO_DISCREPANCY):
         if asked.plant:
             return f"take the values of {(asked.out / VALUES).as_posix()} over into {asked.plant.as_posix()}, then ask again", asked.again()
-        return step, asked.beside(result, asked.out / MODEL)
+        return step, asked.format_comparison_command(result, asked.out / MODEL)
     if status is VerdictStatus.SETUP_ERROR:
         if asked.plant:
             return f"{step}, then ask again", asked.again()
@@ -111,7 +111,7 @@ def _advice(result: Discovery, asked: Asked) -> tuple[str, str]:
         return step, " && ".join((*commands, asked.again("--add", extra)))
     if result.law is not None:
         file = result.law.file
-        return USE, asked.beside(result, file.with_suffix(".toml"), "--effects", file)
+        return USE, asked.format_comparison_command(result, file.with_suffix(".toml"), "--effects", file)
     if step == ONE_CLOCK or asked.plant or asked.invent:
         return f"{step}, then ask again", asked.again()
     return LAW, asked.again("--invent")

@@ -54,7 +54,7 @@ class Checked:
 
 @dataclass(frozen=True)
 class CheckRun(Checked, Tabular):
-    """What a check of a data set finds.
+    """Findings of a check of a data set.
 
     Attributes:
         folder: of the data set.

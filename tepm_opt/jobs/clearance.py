@@ -17,7 +17,7 @@ CONTOUR, TRUE_CONTOUR = "contour_error_m", "true_contour_error_m"
 
 
 def moved_most(reference: Reference) -> float:
-    """How far at most the path was led out of obstacles' way, in m; NaN where there are none."""
+    """Find the largest displacement of the path out of obstacles' way, in m; NaN where there are none."""
     return math.nan if reference.moved is None else float(reference.moved.max())
 
 

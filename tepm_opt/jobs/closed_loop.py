@@ -30,6 +30,7 @@ from tepm_opt.models.devices import Devices
 from tepm_opt.models.model import Model
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.recording.measure import GOOD, STATUS
+from tepm_opt.renamed import RenamedMethod
 
 LOG, JOB = "log.csv", "mpc"
 BANDS = ((0.0, 0.5), (0.5, 2.0), (2.0, 10.0), (10.0, 50.0))  # Hz
@@ -38,7 +39,7 @@ PACKAGES = ("tepm-opt", "numpy", "scipy", "casadi", "daqp", "mujoco")
 
 @dataclass(frozen=True)
 class LoopSetup:
-    """What runs, on which rig.
+    """Controller and rig of a closed loop.
 
     Attributes:
         controller: name of a kind of controller, see `tepm_opt.control.controllers`.
@@ -71,8 +72,8 @@ class LoopSetup:
         return self.kind.settings({}) if self.settings is None else self.settings
 
     @staticmethod
-    def of(controller: str, rig: str, seed: int, options: Mapping[str, Option]) -> LoopSetup:
-        """What a command line asks for.
+    def from_options(controller: str, rig: str, seed: int, options: Mapping[str, Option]) -> LoopSetup:
+        """Build the setup from options of the command line.
 
         Args:
             controller: name of its kind.
@@ -85,10 +86,12 @@ class LoopSetup:
         """
         return LoopSetup(controller, rig, seed, settings_of(find_controller(controller), options))
 
+    of = RenamedMethod("from_options")
+
 
 @dataclass(frozen=True, eq=False)
 class ClosedLoop(Tabular):
-    """What a closed loop did, a row a sample; NaN where unknown.
+    """Record of a closed loop, a row a sample; NaN where unknown.
 
     Attributes:
         model: the controller's.
@@ -134,8 +137,8 @@ class ClosedLoop(Tabular):
     changes: tuple[Changed, ...] = ()
 
     @staticmethod
-    def of(done: LoopRecord, model: CompiledModel, setup: LoopSetup, rows: slice = slice(None)) -> ClosedLoop:
-        """A record of a closed loop as arrays, or some rows of it.
+    def from_record(done: LoopRecord, model: CompiledModel, setup: LoopSetup, rows: slice = slice(None)) -> ClosedLoop:
+        """Convert the record of a running loop, or some rows of it, into arrays.
 
         Args:
             done: the record; may still grow.
@@ -354,7 +357,7 @@ def _stacked(telemetry: Sequence[Telemetry]) -> dict[str, np.ndarray]:
 
 
 def _doubts(time: Sequence[float], telemetry: Sequence[Telemetry]) -> dict[str, tuple[float, str]]:
-    """What did not make sense, by what it is about: when it was first told, in s, and the last sentence."""
+    """Collect warnings by their subject: the time of the first one in s, and the last sentence."""
     found: dict[str, tuple[float, str]] = {}
     for now, row in zip(time, telemetry, strict=False):
         for about, text in row.doubts.items():

@@ -52,7 +52,7 @@ def compare(tasks: Sequence[LoopTask], workers: int = 1, progress: Progress = si
     else:
         context = get_context("spawn")
         queue = context.SimpleQueue()
-        with ProcessPoolExecutor(min(workers, len(tasks)), context, _begin, (queue,)) as pool:
+        with ProcessPoolExecutor(min(workers, len(tasks)), context, _set_queue, (queue,)) as pool:
             waiting = [pool.submit(_reporting, task) for task in tasks]
             try:
                 _forward(waiting, queue, progress)
@@ -79,7 +79,7 @@ def _alone(task: LoopTask, progress: Progress) -> ClosedLoop:
 _QUEUE: Any = None  # of a process of the pool: where it says how far it is
 
 
-def _begin(queue: Any) -> None:
+def _set_queue(queue: Any) -> None:
     global _QUEUE
     _QUEUE = queue
 

@@ -25,7 +25,7 @@ SHORTEST_STAY, LONGEST_STAY, MOST_LAPS = 0.3, 1000.0, 1000.0
 
 @dataclass(frozen=True)
 class Course:
-    """How a trajectory is driven.
+    """Timing of a trajectory: approach, laps, stays, and the way round obstacles.
 
     Attributes:
         approach: s from rest to its first point.

@@ -55,7 +55,7 @@ class DemoRun:
 
     @property
     def outcome(self) -> Outcome:
-        """How it ended: solved where all points are, and all loops came to their end."""
+        """Outcome: solved where all points are, and all loops came to their end."""
         if self.interrupted:
             return Outcome(Ending.INTERRUPTED, "by the user")
         if not (self.hybrid and self.gains and self.hybrid.ok and self.gains.ok):
@@ -141,10 +141,10 @@ def closed_loops(model: CompiledModel, trajectory: Trajectory, progress: Progres
     """
     tasks = [LoopTask(model.model, trajectory, COURSE, rig_of(model), LoopSetup(controller, seed=SEED)) for controller in CONTROLLERS]
 
-    def named(stage: str, done: float, of: float) -> None:
+    def report_stage(stage: str, done: float, of: float) -> None:
         progress(f"closed loop, {NAMES[stage]}", done, of)
 
-    found = {loop.setup.controller: loop for loop in compare(tasks, os.cpu_count() or 1, named)}
+    found = {loop.setup.controller: loop for loop in compare(tasks, os.cpu_count() or 1, report_stage)}
     return {NAMES[name]: found[name] for name in NAMES if name in found}
 
 

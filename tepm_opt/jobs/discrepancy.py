@@ -101,55 +101,89 @@ def run_discrepancy(
     Raises:
         InputError: data or model cannot be used; the message says why.
     """
-    folder, out = Path(folder), Path(out)
-    limit = _time_limit(minutes)
+    folder, out, limit, earlier = Path(folder), Path(out), _time_limit(minutes), Path(baseline) if baseline else None
     if plant is not None and add:
         raise InputError("--add and --plant exclude each other; valid: data sets of a robot")
+    if plant is not None and mend:
+        raise InputError("--mend and --plant exclude each other; valid: data sets of a robot")
     if plant is not None:
-        if mend:
-            raise InputError("--mend and --plant exclude each other; valid: data sets of a robot")
-        return _of_plant(folder, out, Path(plant), seed, progress, Path(baseline) if baseline else None, limit)
-    more = tuple(map(Path, add))
-    asked = Asked(
-        folder,
-        out,
-        Path(model) if model else None,
-        None,
-        more,
-        invent,
-        despite_errors,
-        loaded_files(),
-        mend,
-        Path(baseline) if baseline else None,
-    )
-    dataset, warnings = checked_datasets([folder, *more], despite_errors, mends_setup=True)
+        return _explain_plant(Asked(folder, out, plant=Path(plant), baseline=earlier), Path(plant), seed, limit, progress)
+    own = Path(model) if model else None
+    asked = Asked(folder, out, own, None, tuple(map(Path, add)), invent, despite_errors, loaded_files(), mend, earlier)
+    return _explain_robot(asked, seed, limit, progress)
+
+
+def _explain_robot(asked: Asked, seed: int, limit: TimeLimit, progress: Progress) -> Discovery:
+    """Explain data sets of a robot, see `run_discrepancy`.
+
+    Args:
+        asked: arguments of the command.
+        seed: of all random draws.
+        limit: of the search.
+        progress: told of every piece of work.
+    """
+    folders, model = [asked.folder, *asked.add], asked.model
+    dataset, warnings = checked_datasets(folders, asked.despite_errors, mends_setup=True)
     known = read_model(model) if model else Model.from_robot(dataset.robot)
     channels = channels_of(known.robot)
     if channels.columns != dataset.channels.columns:
-        raise InputError(f"{model}: its robot has other actuators or reference points than {dataset.robot}, which {folder} names")
-    out = output_folder(out)
+        raise InputError(f"{model}: its robot has other actuators or reference points than {dataset.robot}, which {asked.folder} names")
+    out = output_folder(asked.out)
     noise = noise_of(dataset)
     require_fit_runs(dataset)
     progress("compiling a model with all effects at their null values", 0, 0)
     network = SearchableNetwork.from_model(known, channels, dataset.static)
     machine = (known.robot.model_dump_json(), str(known.values), loaded_effects())
-    key, earlier = fingerprint([folder, *more], *machine, str(seed)), None
-    if baseline is not None:
-        source = BaselineFile.open(Path(baseline))
-        old, more_warnings = checked_dataset(source.folder, despite_errors, mends_setup=True)
+    key, earlier = fingerprint(folders, *machine, str(seed)), None
+    if asked.baseline is not None:
+        source = BaselineFile.open(asked.baseline)
+        old, more_warnings = checked_dataset(source.folder, asked.despite_errors, mends_setup=True)
         warnings = [*warnings, *more_warnings]
         question = Question(old, network, noise_of(old), SearchSettings.for_plant(network), seed, progress=progress)
         earlier, key = source.learn(question, machine, out), fingerprint([source.folder], key)
     result = discover(dataset, network, noise, seed, out / FITS, key, None, progress, baseline=earlier, limit=limit)
     if not result.verdict.setup:
-        checked_datasets([folder, *more], despite_errors)  # refuses errors of the set-up that the workflow did not find
+        checked_datasets(folders, asked.despite_errors)  # refuses errors of the set-up that the workflow did not find
     write_model(result.verdict.model, out / MODEL)
-    if mend and result.verdict.setup:
+    if asked.mend and result.verdict.setup:
         write_dataset(dataset.with_runs(mend_runs(dataset.runs, result.verdict.setup)), out / MENDED, overwrite=True)
-    if invent and result.verdict.status in (VerdictStatus.UNEXPLAINED, VerdictStatus.PARTIAL):
+    if asked.invent and result.verdict.status in (VerdictStatus.UNEXPLAINED, VerdictStatus.PARTIAL):
         result = replace(result, law=with_law(result, out / EFFECTS, progress))
     result = advised(result, replace(asked, ended_early=limit.was_short))
-    _write(result, out, warnings, limit, {"data": [_seen_from(out, each) for each in (folder, *add)], "model": _seen_from(out, model)})
+    _write(result, out, warnings, limit, {"data": [_seen_from(out, each) for each in folders], "model": _seen_from(out, model)})
+    return result
+
+
+def _explain_plant(asked: Asked, file: Path, seed: int, limit: TimeLimit, progress: Progress) -> Discovery:
+    """Explain a data set of a plant file's machine, see `run_discrepancy`.
+
+    Args:
+        asked: arguments of the command.
+        file: with the plant.
+        seed: of all random draws.
+        limit: of the search.
+        progress: told of every piece of work.
+    """
+    plant = load_plant(file)
+    dataset = read_trials(asked.folder, plant.signals, plant.static)
+    require_fit_runs(dataset)
+    out = output_folder(asked.out)
+    operations = getattr(plant, "operations", 0)  # of equations
+    progress(f"{plant.name}: building derivatives" + (f" of {operations} operations" if operations else ""), 0, 0)
+    if cost := measure_cost(plant, dataset.fit):
+        progress(f"{plant.name}: {cost.sentence}", 0, 0)
+    # it may import files beside it
+    machine = (file.name, *(path.read_text(encoding="utf-8", errors="replace") for path in sorted(file.parent.glob("*.py"))))
+    key, earlier = fingerprint([asked.folder], *machine, str(seed)), None
+    if asked.baseline is not None:
+        source = BaselineFile.open(asked.baseline)
+        old = read_trials(source.folder, plant.signals, plant.static)
+        question = Question(old, plant, _noise(old, plant), SearchSettings.for_plant(plant), seed, progress=progress)
+        earlier, key = source.learn(question, machine, out), fingerprint([source.folder], key)
+    result = discover(dataset, plant, _noise(dataset, plant), seed, out / FITS, key, None, progress, baseline=earlier, limit=limit)
+    write_atomically(out / VALUES, json.dumps(result.verdict.model, indent=2) + "\n")
+    result = advised(result, replace(asked, ended_early=limit.was_short))
+    _write(result, out, [], limit)
     return result
 
 
@@ -207,41 +241,6 @@ def with_law(result: Discovery, folder: Path, progress: Progress = silent) -> In
         write_model(law.model, law.file.with_suffix(".toml"))
         write_atomically(law.file.with_suffix(".md"), page(law, f"{law.written.name}.png" if curves(law) else None))
     return law
-
-
-def _of_plant(folder: Path, out: Path, file: Path, seed: int, progress: Progress, baseline: Path | None, limit: TimeLimit) -> Discovery:
-    """Explain a data set of a plant file's machine, see `run_discrepancy`.
-
-    Args:
-        folder: data set.
-        out: for the results.
-        file: with the plant.
-        seed: of all random draws.
-        progress: told of every piece of work.
-        baseline: an earlier data set of the machine, or its `baseline.json`; None for none.
-        limit: of the search.
-    """
-    plant = load_plant(file)
-    dataset = read_trials(folder, plant.signals, plant.static)
-    require_fit_runs(dataset)
-    out = output_folder(out)
-    operations = getattr(plant, "operations", 0)  # of equations
-    progress(f"{plant.name}: building derivatives" + (f" of {operations} operations" if operations else ""), 0, 0)
-    if cost := measure_cost(plant, dataset.fit):
-        progress(f"{plant.name}: {cost.sentence}", 0, 0)
-    # it may import files beside it
-    machine = (file.name, *(path.read_text(encoding="utf-8", errors="replace") for path in sorted(file.parent.glob("*.py"))))
-    key, earlier = fingerprint([folder], *machine, str(seed)), None
-    if baseline is not None:
-        source = BaselineFile.open(baseline)
-        old = read_trials(source.folder, plant.signals, plant.static)
-        question = Question(old, plant, _noise(old, plant), SearchSettings.for_plant(plant), seed, progress=progress)
-        earlier, key = source.learn(question, machine, out), fingerprint([source.folder], key)
-    result = discover(dataset, plant, _noise(dataset, plant), seed, out / FITS, key, None, progress, baseline=earlier, limit=limit)
-    write_atomically(out / VALUES, json.dumps(result.verdict.model, indent=2) + "\n")
-    result = advised(result, Asked(folder, out, plant=file, baseline=baseline, ended_early=limit.was_short))
-    _write(result, out, [], limit)
-    return result
 
 
 def _noise(dataset: Trials, plant: SearchablePlant) -> float | np.ndarray:

@@ -64,7 +64,7 @@ class GainRun(Tabular):
 
     @property
     def outcome(self) -> Outcome:
-        """How it ended: solved where G is known at every row."""
+        """Outcome: solved where G is known at every row."""
         found = sum(gain is not None for gain in self.gains)
         return outcome_of(found, len(self.statics.setpoints.time), self.statics.interrupted)
 

@@ -110,7 +110,7 @@ class IdentifyRun(Tabular):
 
     @property
     def outcome(self) -> Outcome:
-        """How the fit ended."""
+        """Outcome of the fit."""
         return self.estimate.outcome
 
     @property
@@ -120,7 +120,7 @@ class IdentifyRun(Tabular):
 
     @property
     def over_noise(self) -> float:
-        """What is left, root mean square over the noise's."""
+        """Residual over noise, both root mean squares."""
         return float(np.sqrt(self.estimate.cost / max(self.estimate.count, 1)))
 
     @property
@@ -131,7 +131,7 @@ class IdentifyRun(Tabular):
 
     @property
     def doubts(self) -> list[str]:
-        """What says that the parameters stand in for something that the model lacks, a line each."""
+        """Signs that the parameters stand in for something that the model lacks, a line each."""
         found = []
         if self.over_noise > FAR:
             found.append(f"residuals are {self.over_noise:.3g} times the noise: these parameters do not explain the runs")

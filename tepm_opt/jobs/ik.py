@@ -54,7 +54,7 @@ class IkRun(Tabular):
 
     @property
     def outcome(self) -> Outcome:
-        """How it ended: solved where every target is."""
+        """Outcome: solved where every target is."""
         return outcome_of(sum(found.solved for found in self.configurations), self.asked, self.interrupted)
 
     @property

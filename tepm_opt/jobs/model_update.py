@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,6 @@ from tepm_opt.data.documents import read_text
 from tepm_opt.data.files import output_folder
 from tepm_opt.discrepancy.assessment.result import VerdictStatus
 from tepm_opt.errors import InputError
-from tepm_opt.hw.rig import Rig
 from tepm_opt.jobs.closed_loop import LoopSetup
 from tepm_opt.jobs.course import Course, whole_reference
 from tepm_opt.jobs.discrepancy import MODEL, VERDICT, run_discrepancy
@@ -20,7 +19,7 @@ from tepm_opt.jobs.excite import standard
 from tepm_opt.jobs.mpc import run_closed_loop
 from tepm_opt.jobs.next_run import run_next
 from tepm_opt.jobs.output import save_summary
-from tepm_opt.jobs.record import Ask, record
+from tepm_opt.jobs.record import Ask, RigSource, record
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.model import Model, read_model, write_model
 from tepm_opt.progress import Progress, silent
@@ -33,7 +32,24 @@ BEFORE, AFTER = "nominal", "corrected"
 FURTHER = 2
 """Further runs at most that are asked for where effects cannot be told apart."""
 
-Rigs = Callable[[int], Rig]
+
+@dataclass(frozen=True, eq=False)
+class UpdateTask:
+    """Model to update and paths to follow with it before and after.
+
+    Attributes:
+        model: what is known of the robot.
+        paths: to be followed with the predictive controller, by name.
+        plan: to be recorded; the standard one where absent.
+        seed: of all random draws.
+        further: runs at most that are asked for where effects cannot be told apart.
+    """
+
+    model: Model
+    paths: Mapping[str, Trajectory]
+    plan: RecordingPlan | None = None
+    seed: int = 0
+    further: int = FURTHER
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,30 +105,16 @@ class ModelUpdate:
 
 
 def run_model_update(
-    model: Model,
-    paths: Mapping[str, Trajectory],
-    rigs: Rigs,
-    rig: str,
-    out: str | Path,
-    plan: RecordingPlan | None = None,
-    seed: int = 0,
-    further: int = FURTHER,
-    progress: Progress = silent,
-    ask: Ask = lambda request: None,
+    task: UpdateTask, rig: RigSource, out: str | Path, progress: Progress = silent, ask: Ask = lambda request: None
 ) -> ModelUpdate:
     """Record the standard plan, explain the data, ask for further runs, and follow paths with the model before and after.
 
     Every part that is finished in the folder is kept: the same call after an interruption goes on where it was.
 
     Args:
-        model: what is known of the robot.
-        paths: to be followed with the predictive controller, by name.
-        rigs: opens the rig for a run; see `record`.
-        rig: its name, for the record.
+        task: model and paths.
+        rig: opened for every run and loop.
         out: folder.
-        plan: to be recorded; the standard one where absent.
-        seed: of all random draws.
-        further: runs at most that are asked for where effects cannot be told apart.
         progress: told of every piece of work.
         ask: asks a person to do something between runs.
 
@@ -120,14 +122,14 @@ def run_model_update(
         InputError: as for each part: a plan beyond the limits, data that cannot be used, a rig with another robot.
         RuntimeError, OSError: the rig failed.
     """
-    out = output_folder(Path(out))
+    out, model, plan, seed = output_folder(Path(out)), task.model, task.plan, task.seed
     write_model(model, out / KNOWN)
     if plan is None:
         progress("planning the standard runs", 0, 0)
         plan = standard(model).plan
-    record(plan, out / DATA, rigs, rig, seed, progress, ask)
+    record(plan, out / DATA, rig, seed, progress, ask)
     folders, verdicts = [out / DATA], [_verdict(out, 0, [out / DATA], seed, progress)]
-    while len(verdicts) <= further and verdicts[-1]["status"] == VerdictStatus.INDISTINGUISHABLE.value:
+    while len(verdicts) <= task.further and verdicts[-1]["status"] == VerdictStatus.INDISTINGUISHABLE.value:
         number = len(verdicts)
         proposed, more = out / f"{NEXT}_{number}.toml", out / f"{NEXT}_{number}"
         if not proposed.is_file():
@@ -135,20 +137,20 @@ def run_model_update(
                 run_next(out / f"{FOUND}_{number - 1}", seed=seed, loads=False, data=folders, progress=progress).save(proposed)
             except InputError:  # no run tells them apart
                 break
-        record(read_plan(proposed), more, rigs, rig, seed, progress, ask)
+        record(read_plan(proposed), more, rig, seed, progress, ask)
         folders.append(more)
         verdicts.append(_verdict(out, number, folders, seed, progress))
     models = {BEFORE: model, AFTER: read_model(out / f"{FOUND}_{len(verdicts) - 1}" / MODEL)}
     steering: dict[str, dict[str, Any]] = {}
-    for path, trajectory in paths.items():
+    for path, trajectory in task.paths.items():
         for name, each in models.items():
             folder = out / f"{path}_{name}"
             if not (folder / SUMMARY).is_file():
                 compiled = compile_model(each)
                 reference = whole_reference(compiled, trajectory, Course(), progress=progress)
-                run_closed_loop(compiled, reference, rigs(seed), LoopSetup(rig=rig, seed=seed), folder, progress=progress)
+                run_closed_loop(compiled, reference, rig.open(seed), LoopSetup(rig=rig.name, seed=seed), folder, progress=progress)
             steering.setdefault(path, {})[name] = json.loads(read_text(folder / SUMMARY))["mpc"]
-    done = ModelUpdate(out, model.robot.name, rig, tuple(verdicts), steering)
+    done = ModelUpdate(out, model.robot.name, rig.name, tuple(verdicts), steering)
     done.save()
     return done
 

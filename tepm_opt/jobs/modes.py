@@ -57,7 +57,7 @@ class ModesRun(Tabular):
 
     @property
     def outcome(self) -> Outcome:
-        """How it ended: modes of a stable operating point are always found."""
+        """Outcome, always solved: a stable operating point has modes."""
         return Outcome()
 
     @property

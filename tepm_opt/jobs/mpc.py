@@ -73,8 +73,8 @@ class _Keeper:
 
 
 @contextmanager
-def _kept(folder: Path | None, part: Callable[[slice], ClosedLoop]) -> Iterator[Callable[[int], None]]:
-    """Takes rows into a journal in the folder; it goes where `log.csv` has been written meanwhile."""
+def _open_journal(folder: Path | None, part: Callable[[slice], ClosedLoop]) -> Iterator[Callable[[int], None]]:
+    """Open a journal of rows in the folder; it is deleted at the end, where `log.csv` has all rows, and kept after an error."""
     if folder is None:
         yield lambda number: None
         return
@@ -88,8 +88,8 @@ def _kept(folder: Path | None, part: Callable[[slice], ClosedLoop]) -> Iterator[
     keeper.path.unlink(missing_ok=True)
 
 
-def _said(loop: ClosedLoop, statuses: list[str]) -> ClosedLoop:
-    """With what the rig said at each sample; an interruption may have come before the last one was noted."""
+def _add_rig_status(loop: ClosedLoop, statuses: list[str]) -> ClosedLoop:
+    """Add the rig's status at each sample; an interruption may have come before the last one was noted."""
     count = len(loop.time)
     said = [*statuses[:count], *[GOOD] * (count - len(statuses))]
     return replace(loop, steps={**loop.steps, STATUS: np.array(said, dtype=np.str_)})
@@ -140,9 +140,9 @@ def run_closed_loop(
     statuses: list[str] = []
 
     def part(rows: slice) -> ClosedLoop:
-        return _said(ClosedLoop.of(done, model, setup, rows), statuses[rows])
+        return _add_rig_status(ClosedLoop.from_record(done, model, setup, rows), statuses[rows])
 
-    with _kept(None if folder is None else Path(folder), part) as keep:
+    with _open_journal(None if folder is None else Path(folder), part) as keep:
 
         def watched(sample: Sample, target: np.ndarray) -> None:
             statuses.append(sample.status)
@@ -158,7 +158,7 @@ def run_closed_loop(
             if not done.rows:
                 raise
             done.outcome = Outcome(Ending.RIG_FAILED, " ".join(str(error).split()) or type(error).__name__)
-        found = _said(ClosedLoop.of(done, model, setup), statuses)
+        found = _add_rig_status(ClosedLoop.from_record(done, model, setup), statuses)
         if isinstance(controller, monitor.Watched):
             found = replace(found, changes=tuple(controller.monitor.changes))
         if folder is not None:

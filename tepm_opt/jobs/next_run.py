@@ -67,7 +67,7 @@ class Proposal:
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """What runs are proposed for.
+    """Robot and sensors that runs are proposed for.
 
     Attributes:
         model: of the robot as it is known, for its levels.
@@ -85,8 +85,8 @@ class Rig:
     seconds: float
     loads: bool = True
 
-    def planned(self, pattern: Pattern) -> PlannedRun:
-        """The pattern worked out.
+    def plan_run(self, pattern: Pattern) -> PlannedRun:
+        """Work out the set points of a pattern.
 
         Raises:
             InputError: beyond the robot's limits.
@@ -101,7 +101,7 @@ class Rig:
         if pattern is None:
             return None
         try:
-            planned = self.planned(pattern)
+            planned = self.plan_run(pattern)
         except InputError:
             return None
         if abs(planned.setpoints.time[-1] - self.seconds) > 0.05 * self.seconds:
@@ -201,7 +201,7 @@ class NextRun:
         return f"NextRun({', '.join(map(labels, self.hypotheses))}: {self.best!r})"
 
     def summary(self) -> dict[str, Any]:
-        """What is told apart and how well, plain data."""
+        """Summarize the hypotheses told apart and how well, as plain data."""
         return {
             "hypotheses": [[effect.full_label for effect in hypothesis.effects] for hypothesis in self.hypotheses],
             "pattern": self.best.pattern.pattern,  # type: ignore[attr-defined]
@@ -266,15 +266,15 @@ def run_next(
         network, dataset.fit, network.free(network.known), noise, step=LONGEST_STEP, derivatives_apart=network.derivatives_apart
     )
     fits = Fits(problem, SearchSettings.for_plant(network), progress=progress)
-    hypotheses = refit_hypotheses(content, _corrected(found, known, network), fits, network.candidates)
+    hypotheses = refit_hypotheses(content, _find_corrections(found, known, network), fits, network.candidates)
     rig = Rig(known, reach_of(compile_model(known)), dataset.sample_rate, noise, seconds, loads)
     estimates = [hypothesis.estimate for hypothesis in hypotheses]
     best = best_run(rig, estimates, seed, progress)
     return NextRun(tuple(hypotheses), best, any_run(rig, estimates, seed), rig, dataset)
 
 
-def _corrected(folder: Path, known: Model, network: SearchableNetwork) -> set[str]:
-    """Labels of the effects that the verdict's model has and the known one does not, and values of the robot file that it has changed."""
+def _find_corrections(folder: Path, known: Model, network: SearchableNetwork) -> set[str]:
+    """Find labels of effects that the verdict's model adds to the known one, and names of the robot file's values that it changes."""
     if not (folder / MODEL).is_file():
         raise InputError(f"{folder / MODEL} is not there; valid: the folder that tepm discrepancy wrote (--out)")
     model = read_model(folder / MODEL)

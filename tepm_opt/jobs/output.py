@@ -34,7 +34,7 @@ def collect(items: Iterable[Item]) -> tuple[list[Item], bool]:
 
 
 def outcome_of(solved: int, asked: int, interrupted: bool) -> Outcome:
-    """How a job on many points ended: solved where all of them are."""
+    """Summarize a job on many points as one outcome: solved where all of them are."""
     if interrupted:
         return Outcome(Ending.INTERRUPTED, f"{solved} of {asked} points were solved until then")
     if solved < asked:
@@ -72,7 +72,7 @@ def shape_columns(setpoints: SetPoints, equilibria: Sequence[Equilibrium], good:
 
 
 def endings(outcomes: Iterable[Outcome]) -> np.ndarray:
-    """How each ended, as a column of text."""
+    """Convert outcomes to a column of text, the ending of each."""
     return np.array([outcome.ending.value for outcome in outcomes], dtype=np.str_)
 
 

@@ -46,7 +46,7 @@ class PlanRun(Tabular):
 
     @property
     def outcome(self) -> Outcome:
-        """How planning ended."""
+        """Outcome of the planning."""
         return self.plan.outcome
 
     @property

@@ -24,15 +24,26 @@ from tepm_opt.recording.measure import UNFINISHED, RunOutput, journal_path, meas
 from tepm_opt.recording.plan import RecordingPlan
 
 LOG, ROBOT = "recording.json", "robot.toml"
-Rigs = Callable[[int], Rig]
-"""Opens the rig anew for a run, with this seed where the rig has chance in it."""
 Ask = Callable[[str], None]
 """Asks a person to do something and waits until it is done."""
 
 
 @dataclass(frozen=True)
+class RigSource:
+    """Rig that is opened anew for every run.
+
+    Attributes:
+        name: as a person names it; stands in records.
+        open: opens it, with this seed where the rig has chance in it.
+    """
+
+    name: str
+    open: Callable[[int], Rig]
+
+
+@dataclass(frozen=True)
 class RecordResult:
-    """What `record` left.
+    """Files of a recording.
 
     Attributes:
         folder: of the data set.
@@ -63,8 +74,7 @@ def seed_of(seed: int, file: str) -> int:
 def record(
     plan: RecordingPlan,
     folder: str | Path,
-    rigs: Rigs,
-    rig_name: str,
+    rig: RigSource,
     seed: int = 0,
     progress: Progress = silent,
     ask: Ask = lambda request: None,
@@ -78,8 +88,7 @@ def record(
     Args:
         plan: what to record.
         folder: of the data set, made if need be.
-        rigs: opens the rig.
-        rig_name: stands in `recording.json`; runs of different rigs are not mixed.
+        rig: its name stands in `recording.json`; runs of different rigs are not mixed.
         seed: of everything random on the rig.
         progress: told of every stage in s; stages begin with the run's file and its number.
         ask: is asked for another tip force where the rig cannot push; at first there is none.
@@ -88,7 +97,7 @@ def record(
         InputError: the folder holds another data set, runs of another plan, rig or seed, or cannot be written; the rig has another robot.
     """
     folder = output_folder(folder)
-    log = _open(plan, folder, rig_name, seed)
+    log = _open(plan, folder, rig.name, seed)
     for name in (DESCRIPTION, LOG, ROBOT, *(run.file for run in plan.runs)):
         remove_leftovers(folder / name)
     _tidy(folder, log)
@@ -100,13 +109,13 @@ def record(
             kept.append(file)
             continue
         journal = journal_path(output_folder(folder / UNFINISHED), file)
-        rig, force = rigs(seed_of(seed, file)), setpoints.tip_force[0]
-        if rig.simulated is None and np.any(force != hanging):
+        opened, force = rig.open(seed_of(seed, file)), setpoints.tip_force[0]
+        if opened.simulated is None and np.any(force != hanging):
             ask(f"{file}: make the force on the tip x, y, z = {', '.join(f'{value:g}' for value in force)} N")
             hanging = force
         told = with_prefix(progress, f"{file} ({number} of {len(plan.runs)})")
         out = RunOutput(folder / file, journal, planned.role, plan.sample_rate)
-        measured = measure(rig, setpoints, plan.robot, out, told, at_once=True)
+        measured = measure(opened, setpoints, plan.robot, out, told, at_once=True)
         finished.add(file)
         log["runs"][file] = {
             "fingerprint": planned.fingerprint(plan.robot, plan.sample_rate),

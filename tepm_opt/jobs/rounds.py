@@ -51,7 +51,7 @@ class RoundsRun:
 
     @property
     def outcome(self) -> Outcome:
-        """How the last round ended."""
+        """Outcome of the last round."""
         return self.loops[-1].outcome
 
     @property
@@ -96,7 +96,7 @@ class RoundsRun:
 
 
 def read_correction(path: str | Path) -> np.ndarray:
-    """What was learned of a path, (periods, 3) in m.
+    """Read the learned correction of a path, (periods, 3) in m.
 
     Raises:
         InputError: no such file, a column that is missing, a value that is no number, a time that does not increase.
@@ -135,7 +135,7 @@ def run_rounds(
         raise InputError(f"rounds: {rounds}; valid: from 1")
     learner, loops = Learner(reference.path, reference.period, settings, learned), list[ClosedLoop]()
     for number in range(rounds):
-        target = _corrected(model, reference, learner, kinematics, progress)
+        target = _correct_reference(model, reference, learner, kinematics, progress)
         place = None if folder is None else Path(folder) / f"round_{number + 1}"
         loop = run_closed_loop(model, target, rig(number), setup, place, guard, progress, observer)
         loops.append(loop)
@@ -148,8 +148,10 @@ def run_rounds(
     return RoundsRun(rounds, tuple(loops), learner.correction, reference.period)
 
 
-def _corrected(model: CompiledModel, reference: Reference, learner: Learner, kinematics: IkSettings, progress: Progress) -> Reference:
-    """The reference with as much of what was learned as can be reached, judged by the path.
+def _correct_reference(
+    model: CompiledModel, reference: Reference, learner: Learner, kinematics: IkSettings, progress: Progress
+) -> Reference:
+    """Correct the reference by as much of what was learned as the robot can reach; errors are still measured from the path.
 
     Args:
         model: the controller's.

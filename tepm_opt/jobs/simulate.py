@@ -34,15 +34,19 @@ PERCENT = 0.01
 
 @dataclass(frozen=True, eq=False)
 class SimulationTask:
-    """What a file asks for.
+    """Set points to simulate, with the points measured then where there are any.
 
     Attributes:
         setpoints: inputs and tip force, (rows, …).
         measured: points of a recorded run in G, (rows, points, 3) in m, NaN where missing; None where the file has none.
+        hold: whether a row holds until the next one, instead of changing linearly.
+        directions: parameters and inputs by which the motion is differentiated; None for none.
     """
 
     setpoints: SetPoints
     measured: np.ndarray | None = None
+    hold: bool = False
+    directions: Directions | None = None
 
 
 def read_task(path: str | Path, model: CompiledModel) -> SimulationTask:
@@ -73,12 +77,12 @@ def densified(setpoints: SetPoints, hold: bool) -> tuple[SetPoints, np.ndarray]:
     weight = (np.arange(places[-1]) - places[start]) / parts[start]
     last = len(time) - 1
 
-    def between(values: np.ndarray, held: bool) -> np.ndarray:
+    def interpolate(values: np.ndarray, held: bool) -> np.ndarray:
         w = weight.reshape(-1, *(1,) * (values.ndim - 1))
         filled = values[start] if held else values[start] + w * (values[start + 1] - values[start])
         return np.concatenate([filled, values[last:]])
 
-    return SetPoints(between(time, False), between(setpoints.inputs, hold), between(setpoints.tip_force, hold)), places
+    return SetPoints(interpolate(time, False), interpolate(setpoints.inputs, hold), interpolate(setpoints.tip_force, hold)), places
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +107,7 @@ class SimulateRun(Tabular):
 
     @property
     def failure(self) -> str:
-        """Why the motion ended early by itself; empty where it did not."""
+        """Reason why the motion ended early by itself; empty where it did not."""
         return self.simulation.outcome.message if self.simulation.outcome.ending is Ending.FAILED else ""
 
     @property
@@ -116,7 +120,7 @@ class SimulateRun(Tabular):
 
     @property
     def outcome(self) -> Outcome:
-        """How it ended: solved where the motion came to the end of the file."""
+        """Outcome: solved where the motion came to the end of the file."""
         return self.simulation.outcome
 
     @property
@@ -221,10 +225,10 @@ class SimulateRun(Tabular):
 
 
 def run_simulation(
-    model: CompiledModel, task: SimulationTask, method: Method = "implicit", step: float | None = None, hold: bool = False,
-    directions: Directions | None = None, progress: Progress = silent, error: float | None = None,
+    model: CompiledModel, task: SimulationTask, method: Method = "implicit", step: float | None = None, error: float | None = None,
+    progress: Progress = silent,
 ) -> SimulateRun:  # fmt: skip
-    """Simulate what a file asks for, from rest under its first row.
+    """Simulate a task from rest under its first row.
 
     An interruption (Ctrl-C) and a motion that leaves all bounds end it early; the run says so and holds what was done.
 
@@ -233,17 +237,15 @@ def run_simulation(
         task: inputs and, where there are any, measured points.
         method: implicit, or the paper's.
         step: longest in s; adaptive (implicit) or the method's own where absent.
-        hold: whether a row holds until the next one, instead of changing linearly.
-        directions: parameters and inputs by which the motion is differentiated.
-        progress: told how much of it is done, in s.
         error: of the nodes in m at which adaptive steps aim.
+        progress: told how much of it is done, in s.
 
     Raises:
         InputError: as for `simulate`.
     """
-    dense, places = densified(task.setpoints, hold)
-    found = simulate(model, dense, method, step, hold, None, directions, progress=progress, error=error)
+    dense, places = densified(task.setpoints, task.hold)
+    found = simulate(model, dense, method, step, task.hold, None, task.directions, progress=progress, error=error)
     done = places[places < len(found.setpoints.time)]
     measured = None if task.measured is None else task.measured[: len(done)]
     duration = float(task.setpoints.time[-1] - task.setpoints.time[0])
-    return SimulateRun(found, done, len(places), duration, hold, measured)
+    return SimulateRun(found, done, len(places), duration, task.hold, measured)

@@ -40,7 +40,7 @@ class StaticsRun(Tabular):
 
     @property
     def outcome(self) -> Outcome:
-        """How it ended: solved where every row is."""
+        """Outcome: solved where every row is."""
         return outcome_of(sum(at.solved for at in self.equilibria), len(self.setpoints.time), self.interrupted)
 
     @property

@@ -211,7 +211,7 @@ def _share_axes(axes: Axes, loop: ClosedLoop) -> None:
 
 
 def times_figure(loop: ClosedLoop) -> Figure:
-    """How long the control steps took, and of these the quadratic programs, beside the control period."""
+    """Draw computing times of the control steps, and of their quadratic programs, beside the control period."""
     figure = Figure(figsize=(8.0, 3.6), **STYLE)  # type: ignore[arg-type]
     axes = figure.subplots()
     kinds = [("whole step", loop.seconds, controller(loop.setup.controller).color)]

@@ -62,7 +62,7 @@ def discovery_figures(result: Discovery) -> dict[str, Figure]:
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """What figures compare.
+    """Runs, and models' predictions for them, that figures compare.
 
     Attributes:
         runs: those that models are judged by; a single one where each is one equilibrium.
@@ -117,7 +117,7 @@ def unit_shown(unit: str) -> tuple[float, str]:
 
 
 def error_name(unit: str) -> str:
-    """What errors are called."""
+    """Name the error measure of a unit."""
     return "Eq. (5)" if unit == "m" else "error"
 
 
@@ -133,7 +133,7 @@ def _rms_by_point(measured: Sequence[np.ndarray], modelled: Sequence[np.ndarray]
 
 
 def heat_figure(heat: np.ndarray, runs: Sequence[str], points: Sequence[str], unit: str = "m") -> Figure:
-    """Where the model misses.
+    """Draw the model's errors by run and reference point.
 
     Args:
         heat: structure beyond the noise by run and reference point, (runs, points); NaN where not measured.
@@ -158,7 +158,7 @@ def heat_figure(heat: np.ndarray, runs: Sequence[str], points: Sequence[str], un
 
 
 def gap_figure(errors: Mapping[str, float], data: str = "validation runs", unit: str = "m") -> Figure:
-    """How the gap shrinks: root mean square of Eq. (5) in m by model ("noise floor", "nominal", …; NaN leaves one out)."""
+    """Draw the gap of every model: root mean square of Eq. (5) in m ("noise floor", "nominal", …; NaN leaves one out)."""
     factor, label = unit_shown(unit)
     shown = {name: factor * value for name, value in errors.items() if np.isfinite(value)}
     figure = Figure(figsize=(7.5, 1.3 + 0.42 * len(shown)), **STYLE)  # type: ignore[arg-type]
@@ -236,7 +236,7 @@ def over_time_figure(runs: Sequence[Run], predictions: Predictions, floor: float
     every = np.concatenate([series[np.isfinite(series)] for each in errors.values() for series in each] + [np.array([factor * floor])])
     typical = [float(np.median(series[np.isfinite(series)])) for each in errors.values() for series in each if np.isfinite(series).any()]
     for k, (axes, run) in enumerate(zip(panels, runs, strict=True)):
-        at, label, mark = across(run)
+        at, label, mark = choose_horizontal_axis(run)
         for name, each in errors.items():
             axes.plot(at, each[k], **_style(ROLES.get(name, UNJUDGED), mark), linewidth=1.0, markersize=4, label=name)
         axes.axhline(factor * floor, **NOISE.lined, linewidth=1.2, label=f"noise, {factor * floor:.2g} {shown}")
@@ -295,7 +295,7 @@ def tip_figure(runs: Sequence[Run], predictions: Predictions, of: str = "tip", u
     """
     (k, rows, axis), (factor, label_of) = most_corrected(runs, predictions), unit_shown(unit)
     run, shown = runs[k], [name for name in MODELS if name in predictions]
-    at, label, mark = across(run)
+    at, label, mark = choose_horizontal_axis(run)
     measured = factor * run.points[rows, -1, axis]
     modelled = {name: factor * predictions[name][k][rows, -1, axis] for name in shown}
     figure = Figure(figsize=(9.5, 5.2), **STYLE)  # type: ignore[arg-type]
@@ -347,8 +347,8 @@ def most_corrected(runs: Sequence[Run], predictions: Predictions) -> tuple[int, 
     return found
 
 
-def across(run: Run) -> tuple[np.ndarray, str, str]:
-    """What a run is drawn over, its label, and how its values are marked."""
+def choose_horizontal_axis(run: Run) -> tuple[np.ndarray, str, str]:
+    """Choose the horizontal axis of a run: its values (rows,), its label, and matplotlib's format of what is drawn over it."""
     timed = bool(np.isfinite(run.time).all())
     return (run.time, "time in s", "-") if timed else (np.arange(1, run.rows + 1), "row", "o")
 

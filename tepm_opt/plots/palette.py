@@ -15,7 +15,7 @@ from tepm_opt.models.layout import Layout
 
 @dataclass(frozen=True)
 class Role:
-    """How something is drawn.
+    """Colour, line and marker of something drawn.
 
     Attributes:
         color: as matplotlib and CSS take it.
@@ -91,7 +91,7 @@ TOGETHER: Mapping[str, Sequence[Role]] = {
 
 
 def controller(name: str) -> Role:
-    """How lines of a controller are drawn."""
+    """Find the role of a controller's lines."""
     return CONTROLLERS.get(name, OWN_CONTROLLER)
 
 
@@ -101,6 +101,6 @@ def actuator(number: int) -> str:
 
 
 def channel(layout: Layout, number: int) -> Role:
-    """How an actuator of the robot is drawn: its colour by its place in the module, line and marker by the module."""
+    """Find the role of an actuator: its colour by its place in the module, line and marker by the module."""
     module, place = divmod(number, layout.actuators)
     return Role(actuator(place), LINES[module % len(LINES)], MARKERS[module % len(MARKERS)])

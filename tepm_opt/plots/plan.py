@@ -36,8 +36,8 @@ def plan_figure(run: PlanRun) -> Figure:
         role = channel(layout, k)
         pressure.plot(plan.time, 1e-3 * inputs[:, k], **role.lined, linewidth=1.2, label=f"A{name}")
         tension.plot(plan.time, inputs[:, half + k], **role.lined, linewidth=1.2)
-    _limited(pressure, "pressure in kPa", 1e-3 * float(plan.model.input_max[0]))
-    _limited(tension, "tension in N", float(plan.model.input_max[half]))
+    _draw_limits(pressure, "pressure in kPa", 1e-3 * float(plan.model.input_max[0]))
+    _draw_limits(tension, "tension in N", float(plan.model.input_max[half]))
     pressure.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     tension.set_xlabel("time in s")
     for axes in (speed, pressure, tension):
@@ -48,8 +48,8 @@ def plan_figure(run: PlanRun) -> Figure:
     return figure
 
 
-def _limited(axes: Axes, label: str, limit: float) -> None:
-    """Set points between 0 and their limit."""
+def _draw_limits(axes: Axes, label: str, limit: float) -> None:
+    """Draw 0 and the limit of set points, and label their axis."""
     for value in (0.0, limit):
         axes.axhline(value, **LIMIT.lined, linewidth=0.9)
     axes.set_ylabel(label)

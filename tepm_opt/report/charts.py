@@ -13,7 +13,7 @@ from tepm_opt.data.setpoints import AXES
 from tepm_opt.discrepancy.state import Discovery
 from tepm_opt.jobs.closed_loop import ClosedLoop
 from tepm_opt.jobs.ik import IkRun
-from tepm_opt.plots.discrepancy import SMALLEST_SPAN, SPREAD, across, compared, error_name, most_corrected, unit_shown
+from tepm_opt.plots.discrepancy import SMALLEST_SPAN, SPREAD, choose_horizontal_axis, compared, error_name, most_corrected, unit_shown
 from tepm_opt.plots.figure import backbone_mm
 from tepm_opt.plots.palette import GOOD, MEASURED, MODELS, NOISE, ROBOT, TARGET, Role, controller
 
@@ -26,11 +26,11 @@ class Chart(Protocol):
 
     @property
     def title(self) -> str:
-        """What stands above it."""
+        """Heading above the figure."""
         ...
 
     def data(self) -> dict[str, Any]:
-        """What the script is given, plain data."""
+        """Convert it to plain data for the script."""
         ...
 
 
@@ -66,8 +66,8 @@ class Panel:
     least: float = 0.0
 
     def data(self) -> dict[str, Any]:
-        """What the script is given, plain data."""
-        rows = _kept(self.x, [curve.values for curve in self.curves])
+        """Convert it to plain data for the script."""
+        rows = _downsample(self.x, [curve.values for curve in self.curves])
         series = [
             {"name": curve.name, "color": curve.role.color, "line": curve.role.line, "marker": curve.role.marker}
             | {"points": curve.points, "values": _plain(values)}
@@ -94,7 +94,7 @@ class Curves:
     view: tuple[float, float] = (0.0, 1.0)
 
     def data(self) -> dict[str, Any]:
-        """What the script is given, plain data."""
+        """Convert it to plain data for the script."""
         return {"alt": self.alt, "view": self.view, "panels": [panel.data() for panel in self.panels]}
 
 
@@ -115,7 +115,7 @@ class Arms:
     targets: np.ndarray
 
     def data(self) -> dict[str, Any]:
-        """What the script is given, plain data."""
+        """Convert it to plain data for the script."""
         arms = [[_plain(place) for place in arm[_spaced(len(arm), PLACES)]] for arm in self.backbones]
         roles = {name: {"color": role.color, "line": role.line} for name, role in (("robot", ROBOT), ("target", TARGET), ("reached", GOOD))}
         return {"alt": self.alt, "arms": arms, "targets": [_plain(target) for target in self.targets], **roles}
@@ -153,7 +153,7 @@ def discovery_charts(result: Discovery) -> dict[str, Chart]:
     factor, shown = unit_shown(seen.unit)
     floor, panels = factor * seen.floor, []
     for k, run in enumerate(seen.runs):
-        x, label, mark = across(run)
+        x, label, mark = choose_horizontal_axis(run)
         errors = {name: factor * shape_error(run.points, each[k]) for name, each in seen.predictions.items()}
         curves = [Curve(name, MODELS[name], values, mark != "-") for name, values in errors.items()]
         curves.append(Curve("noise floor", NOISE, np.full(len(x), floor)))
@@ -163,7 +163,7 @@ def discovery_charts(result: Discovery) -> dict[str, Chart]:
     over_time = Curves("Error of every model over time", "Error of every model over time on every run, beside the noise floor", panels)
     k, rows, axis = most_corrected(seen.runs, seen.predictions)
     run = seen.runs[k]
-    x, label, mark = across(run)
+    x, label, mark = choose_horizontal_axis(run)
     measured = factor * run.points[:, -1, axis]
     modelled = {name: factor * each[k][:, -1, axis] for name, each in seen.predictions.items()}
     of = f"{seen.of} {AXES[axis]}" if run.points.shape[-1] > 1 else seen.of
@@ -182,7 +182,7 @@ def discovery_charts(result: Discovery) -> dict[str, Chart]:
 
 
 def _part(x: np.ndarray, rows: slice) -> tuple[float, float]:
-    """Where rows lie, as parts of the whole axis."""
+    """Find the span of rows as fractions of the whole axis, first and last."""
     first, last = (float(x[row] - x[0]) / float(x[-1] - x[0] or 1) for row in (rows.start, rows.stop - 1))
     return first, max(last, first + 1e-3)
 
@@ -197,8 +197,8 @@ def _spaced(count: int, most: int) -> np.ndarray:
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
 
 
-def _kept(x: np.ndarray, curves: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """The axis and its curves with no more than `MOST` rows: of each stretch the smallest and the largest value."""
+def _downsample(x: np.ndarray, curves: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Reduce an axis and its curves to at most `MOST` rows: of each stretch the smallest and the largest value."""
     if len(x) <= MOST:
         return [x, *curves]
     starts = np.linspace(0, len(x), MOST // 2 + 1).astype(int)[:-1]

@@ -50,7 +50,7 @@ def _error(loop: Mapping[str, Any], key: str) -> float | None:
 
 
 def _verdict(run: DemoRun, hybrid: Mapping[str, Any], loops: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """What a reader should know first, the most important sentence first."""
+    """Sum the run up in sentences for the top of the page, the most important one first."""
     solved = f"{hybrid['solved']} of {hybrid['points']} points of the path are solved"
     if hybrid["solved"]:
         missed = sized(hybrid["largest_rounded_tip_error_m"], "m")

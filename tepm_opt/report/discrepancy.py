@@ -68,7 +68,7 @@ def write_discrepancy_page(
 
 
 def heading(status: VerdictStatus, effects: int) -> str:
-    """What a verdict says, in a line.
+    """Sum a verdict up in a line.
 
     Args:
         status: kind of answer.

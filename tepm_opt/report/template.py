@@ -65,8 +65,8 @@ class Picture:
     width: int
 
     @classmethod
-    def of(cls, figure: Path | bytes) -> Picture:
-        """A figure's file or its content."""
+    def from_figure(cls, figure: Path | bytes) -> Picture:
+        """Embed a PNG figure, given as its file or its content."""
         content = figure if isinstance(figure, bytes) else figure.read_bytes()
         pixels = int.from_bytes(content[16:20], "big")  # IHDR, which is the first chunk
         return cls(base64.b64encode(content).decode(), round(pixels * CSS_PIXELS / float(STYLE["dpi"])))  # type: ignore[arg-type]
@@ -96,7 +96,7 @@ def write(
     )
     environment.filters |= {"sized": sized, "percent": percent, "spread": _spread, "size": _size, "with_unit": with_unit}
     drawn = charts or {}
-    images = {name: Picture.of(figure) for name, figure in (figures or {}).items() if name not in drawn}
+    images = {name: Picture.from_figure(figure) for name, figure in (figures or {}).items() if name not in drawn}
     page = environment.get_template(template).render(images=images, charts=drawn, version=version("tepm-opt"), **values)
     write_atomically(path, page)
 

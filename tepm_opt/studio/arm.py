@@ -34,7 +34,7 @@ class OperatingPoint:
     asked: Configuration | None = None
 
     def __repr__(self) -> str:
-        """How it ended and where the tip is, in a line."""
+        """Summarize outcome and tip in a line."""
         return f"OperatingPoint({self.held!r}{'' if self.asked is None else f', {self.asked!r}'})"
 
     @property
@@ -54,7 +54,7 @@ class OperatingPoint:
         return np.array([name in told for name in self.held.model.layout.actuator_names])
 
     def ellipsoid(self, kind: Actuation, share: float) -> tuple[np.ndarray, np.ndarray] | None:
-        """How far the tip goes under all changes of inputs of Euclidean length `share`, each over its own range, to first order.
+        """Find the ellipsoid of tips reached by changes of inputs of Euclidean length `share`, each over its own range, to first order.
 
         Args:
             kind: which inputs.

@@ -11,7 +11,7 @@ from tepm_opt.models.compile import CompiledModel
 from tepm_opt.solvers.choices import ActuationMode
 from tepm_opt.studio.arm import KINDS, MODE, drag_tip, off_grid, set_inputs
 from tepm_opt.studio.scene import Bench, line_node, set_lines
-from tepm_opt.studio.words import told
+from tepm_opt.studio.words import describe_operating_point
 from tepm_opt.studio.worker import Worker, asks
 from tepm_opt.studio.workspace import Boundary, boundary
 
@@ -152,7 +152,7 @@ class ArmView:
             return
         self._told = now
         with self._server.atomic():
-            self._words.content = told(self.point, off_grid(self.point))
+            self._words.content = describe_operating_point(self.point, off_grid(self.point))
             if self._following:
                 self._following = False
                 for slider, value in zip(self._sliders, self.point.held.inputs * self._scales, strict=True):

@@ -161,11 +161,11 @@ class FilmView:
             self._target.visible = target is not None
             if target is not None:
                 self._target.position = target
-            self._words.content = told(shown, row, self._recordings.verdict)
+            self._words.content = describe_row(shown, row, self._recordings.verdict)
 
 
-def told(film: Film, row: int, verdict: str) -> str:
-    """A row of a film in words, as Markdown.
+def describe_row(film: Film, row: int, verdict: str) -> str:
+    """Describe a row of a film as Markdown.
 
     Args:
         film: of which.

@@ -10,7 +10,7 @@ import numpy as np
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.models.robot import Robot
 from tepm_opt.studio.loop import Moment, Pace
-from tepm_opt.studio.moments import MomentNode, Trace, told
+from tepm_opt.studio.moments import MomentNode, Trace, describe_moment
 from tepm_opt.studio.scene import prepare
 from tepm_opt.studio.server import start, stop
 from tepm_opt.studio.worker import Worker
@@ -56,7 +56,7 @@ class LiveView:
         if self._pace is not None and self._last is not None:
             self._pace(sample.time - self._last)
         self._last = sample.time
-        moment = Moment.of(sample, command, target, None if nodes is None else nodes.copy())
+        moment = Moment.from_sample(sample, command, target, None if nodes is None else nodes.copy())
         self._trace.add(moment)
         self._worker.ask("moment", lambda: self._draw(moment))
 
@@ -64,7 +64,7 @@ class LiveView:
         path = self._trace.path
         with self._server.atomic():
             self._node.show(moment, path)
-            self._words.content = told(moment, path)
+            self._words.content = describe_moment(moment, path)
 
     def wait_for_somebody(self, seconds: float = 10.0) -> bool:
         """Wait until a browser shows the page; whether one does by then."""

@@ -62,8 +62,10 @@ class Moment:
         return float(np.linalg.norm(self.tip - self.target))
 
     @staticmethod
-    def of(sample: Sample, command: Command, target: np.ndarray, nodes: np.ndarray | None, force: np.ndarray | None = None) -> Moment:
-        """A rig at a sample.
+    def from_sample(
+        sample: Sample, command: Command, target: np.ndarray, nodes: np.ndarray | None, force: np.ndarray | None = None
+    ) -> Moment:
+        """Build the moment of a sample of a rig.
 
         Args:
             sample: as read.
@@ -166,18 +168,20 @@ class LiveLoop:
             Stopped: before the loop was closed.
         """
 
-        def told(stage: str, done: float, of: float) -> None:
+        def report_unless_stopped(stage: str, done: float, of: float) -> None:
             self._unless_stopped()
             progress(stage, done, of)
 
-        reference = whole_reference(self._model, trajectory, course, progress=told)
-        return run_closed_loop(self._model, reference, self._rig, LoopSetup(controller, SIM), progress=told, observer=self._seen)
+        reference = whole_reference(self._model, trajectory, course, progress=report_unless_stopped)
+        return run_closed_loop(
+            self._model, reference, self._rig, LoopSetup(controller, SIM), progress=report_unless_stopped, observer=self._observe_sample
+        )
 
     def _unless_stopped(self) -> None:
         if self._stopped.is_set():
             raise Stopped(Ending.INTERRUPTED, "stopped on the page")
 
-    def _seen(self, sample: Sample, command: Command, target: np.ndarray) -> None:
+    def _observe_sample(self, sample: Sample, command: Command, target: np.ndarray) -> None:
         self._unless_stopped()
         if self._asked is not None:
             (self._force, seconds), self._asked = self._asked, None
@@ -186,4 +190,4 @@ class LiveLoop:
         elif sample.time > self._until and self._force.any():
             self._force = np.zeros(3)
             self._rig.push(self._force)
-        self._show(Moment.of(sample, command, target, self._rig.true_nodes, self._force))
+        self._show(Moment.from_sample(sample, command, target, self._rig.true_nodes, self._force))

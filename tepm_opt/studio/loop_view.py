@@ -20,7 +20,7 @@ from tepm_opt.solvers.sized import path_for
 from tepm_opt.solvers.text import quantity
 from tepm_opt.solvers.trajectories import SHAPES
 from tepm_opt.studio.loop import LiveLoop, Moment
-from tepm_opt.studio.moments import MomentNode, Trace, told
+from tepm_opt.studio.moments import MomentNode, Trace, describe_moment
 from tepm_opt.studio.shapes import MEASURED
 from tepm_opt.studio.worker import Worker, asks
 
@@ -107,7 +107,7 @@ class LoopView:
             self.loop.stop()
             return
         try:
-            self.loop = LiveLoop(self._model, self._open(), self._moved)
+            self.loop = LiveLoop(self._model, self._open(), self._show_moment)
         except InputError as error:
             self._words.content = f"✗ {error}"
             return
@@ -128,13 +128,13 @@ class LoopView:
         except (InputError, RuntimeError, OSError) as error:
             said = f"✗ {error}"
         self.loop = None
-        self._worker.ask("loop ended", lambda: self._ended(said))
+        self._worker.ask("loop ended", lambda: self._show_ending(said))
 
     def _prepared(self, stage: str, done: float, of: float) -> None:
         if stage != "tracking":
             self._worker.ask("stage", lambda: setattr(self._words, "content", f"{stage}: {done:.0f} of {of:.0f}"))
 
-    def _ended(self, said: str) -> None:
+    def _show_ending(self, said: str) -> None:
         self._words.content = said
         self._button.label, self._push.disabled = "start", True
 
@@ -142,8 +142,8 @@ class LoopView:
         if (loop := self.loop) is not None:
             loop.push(float(self._newtons.value) * DIRECTIONS[self._direction.value], float(self._seconds.value))
 
-    def _moved(self, moment: Moment) -> None:
-        """A moment, told by the loop's thread."""
+    def _show_moment(self, moment: Moment) -> None:
+        """Show a moment that the loop's thread reports."""
         self._trace.add(moment)
         self._worker.ask("moment", lambda: self._draw(moment))
 
@@ -154,14 +154,14 @@ class LoopView:
         path = self._trace.path
         with self._server.atomic():
             self._node.show(moment, path)
-            self._words.content = told(moment, path)
+            self._words.content = describe_moment(moment, path)
             if (now := time.monotonic()) - self._plotted > PLOTTED:
                 self._plotted, self._plot.visible = now, True
                 self._plot.data = (path.time, 1e3 * np.nan_to_num(path.errors))
 
 
 def ending(done: ClosedLoop) -> str:
-    """How a loop ended, in words."""
+    """Describe the end of a loop as Markdown."""
     rms = done.rms(True)
     errors = f": true tip **{quantity(rms, 'm')}** rms where the path counts" if np.isfinite(rms) else ""
     doubts = "".join(f"\n\n▲ from {since:.1f} s: {text}" for since, text in done.doubts.values())

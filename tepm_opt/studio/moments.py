@@ -28,7 +28,7 @@ METRES_PER_NEWTON = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """Where a tip was: times in s (moments,), places (moments, 3) in m, distances from its targets (moments,) in m; NaN where lost."""
+    """Path of a tip: times in s (moments,), places (moments, 3) in m, distances from its targets (moments,) in m; NaN where lost."""
 
     time: np.ndarray
     tips: np.ndarray
@@ -62,7 +62,7 @@ class Trace:
 
     @property
     def path(self) -> Path:
-        """What is known now."""
+        """Path of the tip over the last seconds."""
         with self._lock:
             rows = list(self._rows)
         time, tips, errors = ([row[k] for row in rows] for k in range(3))
@@ -119,8 +119,8 @@ class MomentNode:
             handle.visible = False
 
 
-def told(moment: Moment, path: Path) -> str:
-    """A moment in words, as Markdown."""
+def describe_moment(moment: Moment, path: Path) -> str:
+    """Describe a moment as Markdown."""
     x, y, z = (f"{1e3 * value + 0.0:.1f}" for value in moment.tip)
     which, since = "tracked tip" if moment.nodes is None else "true tip", path.time[-1] - path.time[0]
     lost = int((~np.isfinite(moment.points).all(axis=1)).sum())

@@ -17,7 +17,7 @@ from tepm_opt.studio.worker import Worker, asks
 
 
 class View(Protocol):
-    """What may be in sight."""
+    """View of the studio, one of which is in sight at a time."""
 
     name: str
 
@@ -100,6 +100,6 @@ class Studio:
         self.close()
 
     def _failed(self, error: Exception) -> None:
-        """What went wrong, in words on the page."""
+        """Show on the page in words why a task failed."""
         self._message.visible = True
         self._message.content = f"✗ {' '.join(str(error).split()) or type(error).__name__}"

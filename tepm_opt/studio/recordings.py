@@ -137,7 +137,7 @@ def film(model: CompiledModel, run: Run, static: bool = False, progress: Progres
 
 
 def open_recordings(path: str | Path, model: Model | None = None) -> Recordings:
-    """What a path holds that can be looked at: a run or log, a data set, or the data set of a verdict with its models.
+    """Open the recordings at a path: a run or log, a data set, or the data set of a verdict with its models.
 
     Args:
         path: a CSV file, or a folder with log.csv, dataset.toml or verdict.json.
@@ -146,14 +146,14 @@ def open_recordings(path: str | Path, model: Model | None = None) -> Recordings:
     Raises:
         InputError: nothing of the kind is there, or it cannot be read.
     """
-    found = _found(Path(path), model)
+    found = _read_recordings(Path(path), model)
     empty = [run.file for run in found.runs if not run.rows]
     if empty or not found.runs:
         raise InputError(f"{path}: {f'{empty[0]} has no rows' if empty else 'there are no runs'}; valid: runs of at least one row")
     return found
 
 
-def _found(path: Path, model: Model | None) -> Recordings:
+def _read_recordings(path: Path, model: Model | None) -> Recordings:
     if (path / VERDICT).is_file():
         return _of_verdict(path, model)
     if (path / DESCRIPTION).is_file():

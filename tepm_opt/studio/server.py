@@ -55,7 +55,7 @@ class Gate:
 
     @property
     def address(self) -> str:
-        """What to open in a browser, once."""
+        """Address to open in a browser, once."""
         return f"http://{HOST}:{self.port}/?token={self.token}"
 
     @property
@@ -69,7 +69,7 @@ class Gate:
         return f"{HOST}:{self.port}", f"localhost:{self.port}"
 
     def refuses(self, headers: Any) -> str:
-        """Why requests with these headers may not come in at all, empty where they may; `headers` has `get_all`."""
+        """Tell why requests with these headers are refused, empty where they may come in; `headers` has `get_all`."""
         hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
         if len(hosts) != 1 or hosts[0].lower() not in self.hosts:
             return "unknown host"

@@ -73,8 +73,8 @@ def arm_shape(layout: Layout, nodes: np.ndarray, used: np.ndarray, bound: np.nda
     rings = np.delete(loops, np.arange(0, layout.levels + 1, layout.segments), axis=0).reshape(-1, 2, 3)
     middles = outer.reshape(layout.levels + 1, -1, 3)[layout.segments // 2 :: layout.segments][: layout.modules]
     return ArmShape(
-        _along(nodes), _along(outer), plates, rings, _colors(layout, pressure, PRESSURE, bound), _colors(layout, tension, TENSION, bound),
-        middles.reshape(-1, 3),
+        _join_levels(nodes), _join_levels(outer), plates, rings, _colors(layout, pressure, PRESSURE, bound),
+        _colors(layout, tension, TENSION, bound), middles.reshape(-1, 3),
     )  # fmt: skip
 
 
@@ -94,7 +94,7 @@ def quaternion(rotation: np.ndarray) -> np.ndarray:
     return np.array([w, x, y, z])
 
 
-def _along(nodes: np.ndarray) -> np.ndarray:
+def _join_levels(nodes: np.ndarray) -> np.ndarray:
     return np.stack([nodes[:-1], nodes[1:]], axis=2).reshape(-1, 2, 3)
 
 

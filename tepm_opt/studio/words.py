@@ -11,8 +11,8 @@ from tepm_opt.studio.arm import KINDS, OperatingPoint
 BEYOND = 1e-3  # condition above its inverse at which a direction counts as not driven
 
 
-def told(point: OperatingPoint, off: float) -> str:
-    """An operating point: where the tip is, how that came, which limits bind, how strongly inputs drive it.
+def describe_operating_point(point: OperatingPoint, off: float) -> str:
+    """Describe an operating point as Markdown: where the tip is, how that came, which limits bind, how strongly inputs drive it.
 
     Args:
         point: the operating point.

@@ -81,8 +81,8 @@ class Worker:
 def asks(worker: Worker, kind: Hashable, task: Task) -> Callable[[Any], None]:
     """A callback for viser's controls that asks for a task when a person, not the program, has moved them."""
 
-    def changed(event: Any) -> None:
+    def ask_again(event: Any) -> None:
         if event.client is not None:
             worker.ask(kind, task)
 
-    return changed
+    return ask_again

@@ -50,7 +50,7 @@ def test_a_new_shape_is_an_option_of_every_command(command: object) -> None:
 
 @pytest.mark.usefixtures("spiral")
 def test_a_new_shape_is_made_checked_and_refused_as_the_others() -> None:
-    made = TrajectoryOptions.of({"points": 4, "duration": None, "turns": 1.0}).trajectory("spiral")
+    made = TrajectoryOptions.from_options({"points": 4, "duration": None, "turns": 1.0}).trajectory("spiral")
     np.testing.assert_allclose(made.positions[1], [0, 0.025, 0.35], atol=1e-12)
     for given, name, says in (
         ({"turns": 0.0}, "spiral", "--turns 0.0; valid: more than 0 … 20 turns"),
@@ -59,7 +59,7 @@ def test_a_new_shape_is_made_checked_and_refused_as_the_others() -> None:
         ({}, "spirals", "unknown trajectory 'spirals': valid: circle, lissajous, line, spiral or a .csv file"),
     ):
         with pytest.raises(InputError, match=says.replace("(", r"\(")):
-            PathOptions.of(given).trajectory(name)
+            PathOptions.from_options(given).trajectory(name)
 
 
 def test_a_setting_of_the_inverse_kinematics_reaches_both_commands(tepm: Command) -> None:

@@ -25,7 +25,7 @@ def descriptions(bars: progress.Bars) -> list[str]:
 
 
 def test_a_stage_that_is_over_gives_way(terminal: Console) -> None:
-    with progress.shown(quiet=False) as bars:
+    with progress.show_progress(quiet=False) as bars:
         bars("reading", 0, 0)
         bars("points", 0, 4)
         bars("points", 4, 4)
@@ -38,7 +38,7 @@ def test_a_stage_that_is_over_gives_way(terminal: Console) -> None:
 
 
 def test_stages_that_run_beside_each_other_are_all_shown(terminal: Console) -> None:
-    with progress.shown(quiet=False) as bars:
+    with progress.show_progress(quiet=False) as bars:
         bars("mpc", 1, 4)
         bars("mode 1", 1, 4)
         bars("mpc", 2, 4)
@@ -47,7 +47,7 @@ def test_stages_that_run_beside_each_other_are_all_shown(terminal: Console) -> N
 
 def test_one_without_news_gives_way(terminal: Console, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(progress, "FORGOTTEN", -1.0)
-    with progress.shown(quiet=False) as bars:
+    with progress.show_progress(quiet=False) as bars:
         bars("approach", 2.9, 3.0)
         bars("run", 0, 8)
         assert descriptions(bars) == ["run"]
@@ -63,13 +63,13 @@ def log(monkeypatch: pytest.MonkeyPatch) -> io.StringIO:
 
 def test_nothing_is_shown_to_programs(terminal: Console, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(progress, "EVERY", 0.0)
-    with progress.shown(quiet=True) as bars:
+    with progress.show_progress(quiet=True) as bars:
         bars("points", 1, 4)
     assert terminal.file.getvalue() == ""  # type: ignore[attr-defined]
 
 
 def test_what_is_short_says_nothing_without_a_terminal(log: io.StringIO) -> None:
-    with progress.shown(quiet=False) as bars:
+    with progress.show_progress(quiet=False) as bars:
         bars("points", 1, 4)
     assert log.getvalue() == ""
 
@@ -78,7 +78,7 @@ def test_lines_without_a_terminal(log: io.StringIO, monkeypatch: pytest.MonkeyPa
     """How much of how much, and the time left at the pace so far, without what was done before; stages that are over are not told."""
     now = [100.0]
     monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
-    with progress.shown(quiet=False) as bars:
+    with progress.show_progress(quiet=False) as bars:
         bars.tell()
         bars("compiling", 0, 0)
         bars.tell()
@@ -109,7 +109,7 @@ def test_lines_without_a_terminal(log: io.StringIO, monkeypatch: pytest.MonkeyPa
 
 def test_a_stage_is_announced_once(log: io.StringIO) -> None:
     """Also where stages that run beside each other are heard of in turn."""
-    with progress.shown(quiet=False, told=True) as bars:
+    with progress.show_progress(quiet=False, told=True) as bars:
         for done in range(3):
             bars("fitting creep", done, 7)
             bars("fitting payload", done, 7)
@@ -119,7 +119,7 @@ def test_a_stage_is_announced_once(log: io.StringIO) -> None:
 def test_lines_come_by_themselves(log: io.StringIO, monkeypatch: pytest.MonkeyPatch) -> None:
     """Work that says nothing for long is told of all the same; when it is over, so are the lines."""
     monkeypatch.setattr(progress, "EVERY", 0.001)
-    with progress.shown(quiet=False) as bars:
+    with progress.show_progress(quiet=False) as bars:
         bars("nonlinear program [1]", 0, 0)
         until = time.monotonic() + 20
         while "nonlinear program [1]" not in log.getvalue() and time.monotonic() < until:
@@ -132,6 +132,6 @@ def test_lines_come_by_themselves(log: io.StringIO, monkeypatch: pytest.MonkeyPa
 
 def test_asking_a_person(terminal: Console, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO())
-    with progress.shown(quiet=False) as bars:
+    with progress.show_progress(quiet=False) as bars:
         bars.ask("put the load on [now]")
     assert "put the load on [now]" in terminal.file.getvalue()  # type: ignore[attr-defined]

@@ -24,7 +24,7 @@ from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.hw.simulation.rigfile import load_rig_file
 from tepm_opt.jobs.closed_loop import ClosedLoop, LoopSetup
-from tepm_opt.jobs.mpc import _kept
+from tepm_opt.jobs.mpc import _open_journal
 from tepm_opt.solvers.trajectories import circle
 from tests.control.study import model
 
@@ -70,10 +70,10 @@ def main(rate: float, seconds: float, journal: bool) -> None:
     took: list[tuple[float, float, float]] = []
 
     def part(rows: slice) -> ClosedLoop:
-        return ClosedLoop.of(done, model(), LoopSetup(), rows)
+        return ClosedLoop.from_record(done, model(), LoopSetup(), rows)
 
     controller.prepare()
-    with tempfile.TemporaryDirectory() as folder, undisturbed(), _kept(Path(folder) if journal else None, part) as keep:
+    with tempfile.TemporaryDirectory() as folder, undisturbed(), _open_journal(Path(folder) if journal else None, part) as keep:
         for k in range(samples):
             sample: Sample
             sample, sent = here.recv()

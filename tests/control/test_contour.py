@@ -108,7 +108,7 @@ def test_a_closed_loop_with_free_progress(kang: CompiledModel) -> None:
     done = close_loop(rig, Mpc(kang, path), kang.robot)
     assert done.outcome.solved
     assert done.rows[-1] == len(path) - 1
-    loop = ClosedLoop.of(done, kang, LoopSetup())
+    loop = ClosedLoop.from_record(done, kang, LoopSetup())
     told = loop.summary()
     assert told["counted_seconds"] < 3.5
     assert told["contour"]["true"]["rms_m"] < 4e-3

@@ -263,7 +263,7 @@ class TestLoop:
         assert beside.obstacles.nearest(np.array(followed.truth))[0].min() < -6e-3
 
     def test_the_log_says_how_near(self, kang: CompiledModel, kept: LoopRecord) -> None:
-        loop = ClosedLoop.of(kept, kang, LoopSetup())
+        loop = ClosedLoop.from_record(kept, kang, LoopSetup())
         columns, told = loop.columns(), loop.summary()["keep_out"]
         assert told["true"]["smallest_m"] == min(kept.distance)
         assert told["estimated"]["smallest_m"] == columns["distance_m"].min()
@@ -273,13 +273,13 @@ class TestLoop:
 
     def test_inside_is_told(self, kang: CompiledModel, kept: LoopRecord) -> None:
         bad = replace(kept, distance=[*kept.distance[:300], -2e-3, *kept.distance[301:]])
-        loop = ClosedLoop.of(bad, kang, LoopSetup())
+        loop = ClosedLoop.from_record(bad, kang, LoopSetup())
         since, says = loop.doubts["keep out, in truth"]
         assert since == pytest.approx(kept.time[300])
         assert "2 mm inside lamp" in says
 
     def test_without_obstacles_nothing_is_told(self, kang: CompiledModel, followed: LoopRecord) -> None:
-        loop = ClosedLoop.of(followed, kang, LoopSetup())
+        loop = ClosedLoop.from_record(followed, kang, LoopSetup())
         assert loop.summary()["keep_out"] is None
         assert "distance_m" not in loop.columns()
         assert clearance({}, np.zeros(0), np.nan) is None

@@ -345,7 +345,7 @@ def test_a_controller_of_ones_own(kang, short):
             settings_of(kind, {"use": "tension"})
         with pytest.raises(InputError, match="unknown option 'rule': valid: use"):
             settings_of(find_controller(DEFAULT), {"rule": True})
-        setup = LoopSetup.of("counting", "fake", 0, {})
+        setup = LoopSetup.from_options("counting", "fake", 0, {})
         loop = run_closed_loop(kang, short, Fake(short), setup, guard=GUARD)
         assert loop.ok
         told = loop.summary()

@@ -184,7 +184,7 @@ def test_what_was_measured_since_is_a_data_set(quick: Reference, tmp_path: Path)
     from tepm_opt.jobs.refit import CHANGED
 
     done, controller = watch(quick, "payload on", 11.5)
-    loop = replace(ClosedLoop.of(done, model(), LoopSetup()), changes=tuple(controller.monitor.changes))
+    loop = replace(ClosedLoop.from_record(done, model(), LoopSetup()), changes=tuple(controller.monitor.changes))
     loop.save(tmp_path)
     assert loop.summary()["changes"][0]["probabilities"]
     (found,) = tepm.open_datasets([tmp_path / CHANGED], False)

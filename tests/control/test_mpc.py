@@ -324,7 +324,7 @@ def test_results_say_in_one_line_what_they_are(kang, short, followed):
     assert repr(controller).startswith(f"Mpc(kang2017 in {'C' if controller.is_c else 'Python'}, Reference(")
     assert repr(controller.last).startswith("Step(solved, period=0, moves=")
     assert repr(controller.last.estimate).startswith("StateEstimate(tip=(")
-    loop = ClosedLoop.of(followed, kang, LoopSetup(rig="sim <one>"))
+    loop = ClosedLoop.from_record(followed, kang, LoopSetup(rig="sim <one>"))
     assert repr(loop).startswith("ClosedLoop(done, MPC on sim <one>, 4.49 of 4.49 s, true ")
     assert len(repr(loop)) < 120
     table = loop._repr_html_()

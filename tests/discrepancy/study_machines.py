@@ -24,7 +24,7 @@ from tepm_opt.hw.simulation.imperfections import Imperfections
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.hw.simulation.rigfile import RigFile, load_rig_file
 from tepm_opt.jobs.discrepancy import run_discrepancy
-from tepm_opt.jobs.record import record
+from tepm_opt.jobs.record import RigSource, record
 from tepm_opt.models.channels import read
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.model import Model, read_model
@@ -71,7 +71,7 @@ def recorded(file: RigFile, folder: Path) -> Path:
         found.reseed(seed)
         return found
 
-    record(read_plan(PLAN), folder, rig, "sim")
+    record(read_plan(PLAN), folder, RigSource("sim", rig))
     return folder
 
 

@@ -36,7 +36,7 @@ from tepm_opt.solvers.identify import Problem
 from tepm_opt.solvers.plant import PredictionError
 from tepm_opt.solvers.predict import LONGEST_STEP
 from tepm_opt.solvers.simulate import SimulationError, simulate
-from tepm_opt.studies.blind.excitation import drawn
+from tepm_opt.studies.blind.excitation import draw_runs
 
 NOISE, RATE = 3e-4, 50.0
 STEP = 5e-3  # s, shorter than any fit's
@@ -108,7 +108,7 @@ def cases(network: SearchableNetwork, seed: int) -> Iterator[tuple[Case | None, 
     while True:
         for name in random.permutation(names):
             number += 1
-            designs = drawn(random, 4.0, 8.0, fit=int(random.integers(1, 3)), judges=0)
+            designs = draw_runs(random, 4.0, 8.0, fit=int(random.integers(1, 3)), judges=0)
             sampled = [PlannedRun(d.file, "fit", d.setpoints).sample_at(RATE, len(channels.points)) for d in designs]
             session = in_session(sampled, {})
             try:

@@ -76,14 +76,14 @@ def worn(role: str, seed: int, change: float) -> Run:
 
 
 def test_an_effect_is_named_where_only_strength_over_time_constant_is_known() -> None:
-    m = Simulator("a spring", Signals.of(["load", "minutes"], ["deflection"]))
+    m = Simulator("a spring", Signals.from_names(["load", "minutes"], ["deflection"]))
     m.parameter("compliance", 1.0, std=0.05)
     time_constant = Quantity("time_constant", "1", 100.0, (100.0,), 20.0, 1e4, shape=True)
     m.effects([Law("ageing", "body", (Quantity("change", "1", 0.0, (0.05,), -0.9, 10.0), time_constant))], "spring")
     m.effects([Law("offset", "sensor", (Quantity("by", "signal", 0.0, (0.01,), -1.0, 1.0),))], "deflection", signal=1.0)
     plant, answers = m.plant(ageing, static=True), []
     for change in (0.2, 0.0):
-        dataset = RunSet.of("worn", [worn("fit", 1, change), worn("validation", 2, change)])
+        dataset = RunSet.from_runs("worn", [worn("fit", 1, change), worn("validation", 2, change)])
         answers.append(discover(dataset, plant, NOISE).verdict)
     assert [answer.status for answer in answers] == [VerdictStatus.NAMED, VerdictStatus.NO_DISCREPANCY]
     [effect] = answers[0].effects

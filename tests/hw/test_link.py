@@ -25,7 +25,7 @@ from tepm_opt.hw.rig import Command
 from tepm_opt.hw.service.line import Line
 from tepm_opt.hw.service.monitor import Monitor
 from tepm_opt.jobs.play import play
-from tepm_opt.jobs.record import record
+from tepm_opt.jobs.record import RigSource, record
 from tepm_opt.models.robot import load_robot
 from tepm_opt.recording.plan import PlannedRun, RecordingPlan
 from tests.hw.emulator.world import LockstepPort, World
@@ -156,7 +156,7 @@ def played(rig: SerialRig, folder: Path) -> None:
 
 def recorded(rig: SerialRig, folder: Path) -> None:
     plan = RecordingPlan("one", ROBOT, "kang2017", 50.0, None, (PlannedRun("one.csv", "validation", SETPOINTS),))
-    record(plan, folder / "set", lambda seed: rig, "serial:x")
+    record(plan, folder / "set", RigSource("serial:x", lambda seed: rig))
 
 
 def closed_loop(rig: SerialRig, folder: Path) -> None:

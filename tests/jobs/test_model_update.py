@@ -11,6 +11,7 @@ import pytest
 
 from tepm_opt.errors import InputError
 from tepm_opt.jobs import model_update
+from tepm_opt.jobs.record import RigSource
 from tepm_opt.models.model import Model, write_model
 from tepm_opt.recording.plan import read_plan
 from tepm_opt.report.model_update import write_model_update_page
@@ -59,7 +60,8 @@ def closed(parts: Parts, folder: Path, monkeypatch: pytest.MonkeyPatch) -> model
     for name in ("record", "run_discrepancy", "run_next", "run_closed_loop"):
         monkeypatch.setattr(model_update, name, getattr(parts, name))
     monkeypatch.setattr(model_update, "whole_reference", lambda *asked, **more: None)
-    return model_update.run_model_update(MODEL, {"circle": circle()}, lambda seed: None, "sim", folder, read_plan(PLAN))  # type: ignore[arg-type, return-value]
+    task = model_update.UpdateTask(MODEL, {"circle": circle()}, read_plan(PLAN))
+    return model_update.run_model_update(task, RigSource("sim", lambda seed: None), folder)  # type: ignore[arg-type, return-value]
 
 
 def test_named_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,7 +13,7 @@ from tepm_opt.data.datasets import read_dataset, read_description, write_dataset
 from tepm_opt.data.run import read_run
 from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Rig
-from tepm_opt.jobs.record import RecordResult, record, seed_of
+from tepm_opt.jobs.record import RecordResult, RigSource, record, seed_of
 from tepm_opt.models.channels import check, open_dataset
 from tepm_opt.models.robot import robot_text
 from tepm_opt.recording.plan import read_plan
@@ -50,7 +50,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def go(folder: Path, bench: Bench, *runs: str, seed: int = 0, rig: str = "fake") -> RecordResult:
-    return record(read_plan(write_plan(folder, *runs)), folder / "set", bench, rig, seed)
+    return record(read_plan(write_plan(folder, *runs)), folder / "set", RigSource(rig, bench), seed)
 
 
 @pytest.mark.slow
@@ -78,7 +78,8 @@ def test_what_is_recorded(tmp_path: Path, bench: Bench) -> None:
 @pytest.mark.slow
 def test_progress_says_which_run_of_how_many(tmp_path: Path, bench: Bench) -> None:
     told: dict[str, None] = {}
-    record(read_plan(write_plan(tmp_path, STEPS, RAMP)), tmp_path / "set", bench, "fake", 0, lambda stage, done, of: told.setdefault(stage))
+    plan = read_plan(write_plan(tmp_path, STEPS, RAMP))
+    record(plan, tmp_path / "set", RigSource("fake", bench), progress=lambda stage, done, of: told.setdefault(stage))
     assert "steps.csv (1 of 2): recording" in told
     assert "ramp.csv (2 of 2): recording" in told
 
@@ -191,7 +192,7 @@ class TestChangedPlans:
         for change in (("fake", "other"), ("= 50", "= 100"), ("sample_rate", 'robot = "mine.toml"\nsample_rate')):
             path.write_text(plan_text(STEPS).replace(*change, 1))
             with pytest.raises(InputError, match="name, robot, rate or noise differ"):
-                record(read_plan(path), tmp_path / "set", bench, "fake")
+                record(read_plan(path), tmp_path / "set", RigSource("fake", bench))
 
     def test_a_data_set_from_elsewhere(self, tmp_path: Path, bench: Bench) -> None:
         write_dataset(make_dataset(), tmp_path / "set")
@@ -217,7 +218,7 @@ class TestRobots:
         (tmp_path / "mine.toml").write_text(robot_text("kang2017").replace('"kang2017"', '"mine"'))
         path = tmp_path / "plan.toml"
         path.write_text('robot = "mine.toml"\n' + plan_text(STEPS))
-        record(read_plan(path), tmp_path / "set", bench, "fake")
+        record(read_plan(path), tmp_path / "set", RigSource("fake", bench))
         (tmp_path / "mine.toml").unlink()
         assert read_description(tmp_path / "set").robot == "robot.toml"
         assert open_dataset(tmp_path / "set").channels.pressure_max == 5e5
@@ -236,8 +237,8 @@ class TestRobots:
         bench.prepare = lambda number, rig: rig.fail_at.update({300: KeyboardInterrupt()} if number == 2 else {})
         asked: list[str] = []
         with pytest.raises(KeyboardInterrupt):
-            record(plan, tmp_path / "set", bench, "fake", ask=asked.append)
-        record(plan, tmp_path / "set", bench, "fake", ask=asked.append)
+            record(plan, tmp_path / "set", RigSource("fake", bench), ask=asked.append)
+        record(plan, tmp_path / "set", RigSource("fake", bench), ask=asked.append)
         force = "make the force on the tip x, y, z ="
         assert asked == [f"ramp.csv: {force} 0, 0, -0.5 N", f"hung.csv: {force} 0, 0, -0.5 N", f"sweep.csv: {force} 0, 0, 0 N"]
 
@@ -247,7 +248,7 @@ class TestRobots:
         plan = read_plan(write_plan(tmp_path, RAMP.replace("ramp.csv", "more.csv")))
         plan.runs[0].setpoints.tip_force[2] = 1.0
         with pytest.raises(InputError, match="the tip force changes, but this rig cannot push"):
-            record(plan, tmp_path / "other", bench, "fake")
+            record(plan, tmp_path / "other", RigSource("fake", bench))
 
 
 class TestSimulated:
@@ -262,7 +263,7 @@ class TestSimulated:
         header = reference("null/tip_load.csv").read_text().splitlines()
         (tmp_path / "in.csv").write_text("\n".join(header[:121]) + "\n")
         path = write_plan(tmp_path, 'file = "load.csv"\nrole = "fit"\ninputs = "in.csv"\nlead_s = 0.5')
-        record(read_plan(path), tmp_path / "set", lambda seed: open_rig("sim:perfect"), "sim:perfect")
+        record(read_plan(path), tmp_path / "set", RigSource("sim:perfect", lambda seed: open_rig("sim:perfect")))
         run = read_dataset(tmp_path / "set").runs[0]
         np.testing.assert_allclose(run.time[25:] - 0.5, truth.time[rows], atol=1e-9)
         np.testing.assert_allclose(run.tip_force[25:], truth.tip_force[rows], atol=1e-9)
@@ -277,7 +278,7 @@ class TestSimulated:
         ]
         both, first = (read_plan(write_plan(tmp_path, *runs)) for runs in (holds, holds[:1]))
         for folder, plan, seed in (("one", both, 0), ("same", first, 0), ("other", first, 1)):
-            record(plan, tmp_path / folder, opener("sim", plan.robot, seed), "sim", seed)
+            record(plan, tmp_path / folder, RigSource("sim", opener("sim", plan.robot, seed)), seed)
         files = {name: (tmp_path / name).read_bytes() for name in ("one/a.csv", "same/a.csv", "one/b.csv", "other/a.csv")}
         assert files["one/a.csv"] == files["same/a.csv"]
         assert len(set(files.values())) == 3

@@ -31,6 +31,7 @@ from tepm_opt.solvers.choices import ActuationMode
 from tepm_opt.solvers.trajectories import circle
 from tepm_opt.studies.blind.page import write_blind_page
 from tepm_opt.studies.blind.run import BlindRun
+from tepm_opt.studies.blind.trial import TrialSeries
 from tepm_opt.studies.paper.page import write_paper_page
 from tepm_opt.studies.paper.result import ExperimentResult
 from tests.browser import DESK, PHONE, Browser
@@ -115,7 +116,7 @@ def paper_page(folder: Path, model: CompiledModel) -> Path:
 
 def blind_page(folder: Path, model: CompiledModel) -> Path:
     found = [result("closed", GAIN, "named", [("actuator_gain", "12", 0.9)], number) for number in range(12)]
-    run = BlindRun(0, None, 13, (*found, result("null", [], "no_discrepancy", [])))
+    run = BlindRun(TrialSeries(13), (*found, result("null", [], "no_discrepancy", [])))
     write_blind_page(folder / "blind.html", run, pictures(folder, "rates", "confusion"))
     return folder / "blind.html"
 

@@ -14,7 +14,7 @@ from tepm_opt.cli.common import SOLVED, RobotOption, stderr
 from tepm_opt.cli.hw import shared
 from tepm_opt.cli.hw.camera import camera
 from tepm_opt.cli.hw.shared import STOPPED, PortArgument, YesOption, confirm, safely, say
-from tepm_opt.cli.progress import shown
+from tepm_opt.cli.progress import show_progress
 from tepm_opt.data.files import write_atomically
 from tepm_opt.errors import InputError
 
@@ -180,7 +180,7 @@ def base(
     robot: RobotOption = None,
     yes: YesOption = False,
 ) -> int:
-    """Where the base stands in the tracker's frame and how the sensors sit: rests at each row, compares with the model's statics."""
+    """Locate the base in the tracker's frame and the sensors on the arm: rests at each row, compares with the model's statics."""
     from tepm_opt.data.setpoints import read_setpoints
     from tepm_opt.hw.service import calibrate
     from tepm_opt.hw.service.line import tracker_link
@@ -188,7 +188,7 @@ def base(
     from tepm_opt.recording.drive import refuse_unplayable
     from tepm_opt.recording.register import record_poses, register
 
-    found = _loaded(robot, out)
+    found = _load_calibrated_robot(robot, out)
     setpoints = read_setpoints(inputs, Layout.from_robot(found).actuator_names, found.input_max)
     refuse_unplayable(setpoints, str(inputs))
     link = tracker_link(found)
@@ -208,7 +208,7 @@ def base(
         except BaseException:
             tracker.close()
             raise
-        with shown(False) as progress:
+        with show_progress(False) as progress:
             recording = record_poses(rig, setpoints, found, hold, progress)
             progress("comparing with the model", 0, 0)
             registration, notes = register(found, setpoints, recording.poses, known_holders)
@@ -236,8 +236,8 @@ def _registration_words(found: Registration) -> list[str]:
     return words
 
 
-def _loaded(robot: str | None, out: Path | None) -> Robot:
-    """The robot, with a file for the result that can be written.
+def _load_calibrated_robot(robot: str | None, out: Path | None) -> Robot:
+    """Load a robot that has a calibration, after a check that the result's file can be written.
 
     Raises:
         InputError: it has no calibration, or the file is there.
@@ -261,7 +261,7 @@ def _prepared(robot: str | None, actuator: str, out: Path | None) -> tuple[Robot
     from tepm_opt.hw.service.line import actuators_of
     from tepm_opt.models.layout import Layout
 
-    found = _loaded(robot, out)
+    found = _load_calibrated_robot(robot, out)
     return found, actuators_of(actuator, Layout.from_robot(found).actuator_names)
 
 
@@ -277,7 +277,7 @@ def _short(value: float) -> str:
 
 
 def _firmware(robot: str | None, port: str) -> str:
-    """What has to be done once the robot file has another calibration."""
+    """Tell how a changed calibration of the robot file gets into the firmware."""
     from tepm_opt.hw.service.checks import flash_limits
 
     return f"; then into the firmware, which does not arm otherwise: {flash_limits(port, robot or 'ROBOT.toml')}"

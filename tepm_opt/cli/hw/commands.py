@@ -83,12 +83,12 @@ def check(
     from tepm_opt.hw.service.checks import Mark
     from tepm_opt.hw.service.commissioning import Commissioning, by_hand
 
-    def asked(press: bool) -> None:
+    def ask_for_button(press: bool) -> None:
         what = "Press the emergency stop button now" if press else "Seen. Release the button now"
         stderr.print(f"[bold]{what}[/] (30 s)", highlight=False)
 
     name = robot or "kang2017"
-    walk = Commissioning(port, name, clear, asked if button else None, shared.open_line, shared.open_tracker)
+    walk = Commissioning(port, name, clear, ask_for_button if button else None, shared.open_line, shared.open_tracker)
 
     def work() -> int:
         made: list[Check] = []

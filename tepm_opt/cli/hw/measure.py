@@ -12,7 +12,7 @@ from rich.table import Table
 import tepm_opt as tepm
 from tepm_opt.cli.common import SOLVED, JsonOption, ModelOption, RobotOption, stdout
 from tepm_opt.cli.hw.shared import STOPPED, YesOption, confirm, safely, say
-from tepm_opt.cli.progress import shown
+from tepm_opt.cli.progress import show_progress
 from tepm_opt.cli.rigs import RigOption, SeedOption, opener, robot_there
 from tepm_opt.errors import InputError
 
@@ -63,7 +63,7 @@ def tracker(
         if opened.simulated is None and not rig.startswith("replay:"):
             kind = "muscle" if pressure else "tendon"
             confirm(f"This moves the robot: {kind} {names[which]} swings slowly, up to two fifths of its largest input.", yes)
-        with shown(as_json) as progress:
+        with show_progress(as_json) as progress:
             measured = evaluate_tracker(record_tracker(opened, found, which, pressure, rest, progress), compiled, progress)
         written = _write(measured, found, Path(str(name))) if write else {}
         if as_json:

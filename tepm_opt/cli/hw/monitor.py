@@ -134,7 +134,7 @@ class _View:
 
 
 def _kind(reading: MonitorReading) -> tuple[object, ...]:
-    """What is said at once where it changes and nobody looks at a terminal."""
+    """Extract the state whose change is printed at once where the output is no terminal."""
     return (None,) if reading.status is None else (reading.status.state, reading.status.fault)
 
 

@@ -45,7 +45,7 @@ def open_tracker(robot: Robot) -> LiveTracker | None:
 
 
 def ask(question: str) -> str:
-    """What a person types.
+    """Ask a person a question; return the answer typed.
 
     Raises:
         InputError: there is nobody.

@@ -11,7 +11,7 @@ from rich.markup import escape
 from tepm_opt import studies
 from tepm_opt.cli.common import JsonOption, report
 from tepm_opt.cli.groups import WorkerOptions
-from tepm_opt.cli.progress import shown
+from tepm_opt.cli.progress import show_progress
 
 PAGE = "index.html"
 
@@ -37,15 +37,16 @@ def blind(
     """
     from tepm_opt.studies.blind.run import RESULTS, TABLE, write_trials
 
-    with shown(as_json) as progress:
+    series = studies.TrialSeries(trials, seed, family)
+    with show_progress(as_json) as progress:
         if data is not None:
-            write_trials(data, trials, seed, family, progress)
+            write_trials(data, series, progress)
             return report({"trials": trials, "data": str(data)}, [f"{trials} data sets in {escape(str(data))}"], as_json, ok=True)
         if workers.scheduler is not None:
             with workers.opened() as executor:
-                run = studies.run_blind(out, trials, seed, family, executor, progress=progress)
+                run = studies.run_blind(out, series, executor, progress=progress)
         else:  # processes are made anew where a trial kills one
-            run = studies.run_blind(out, trials, seed, family, jobs=workers.jobs, progress=progress)
+            run = studies.run_blind(out, series, jobs=workers.jobs, progress=progress)
     run.save(out)
     studies.write_blind_page(out / PAGE, run, studies.draw_blind_trials(run, out))
     lines = [] if run.ok else [f"[yellow]{escape(run.outcome.message)}; the same command goes on from there[/]"]

@@ -12,7 +12,7 @@ from tepm_opt import studies
 from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, folder_for, load, report
 from tepm_opt.cli.driving import DriveOptions
 from tepm_opt.cli.groups import TRAJECTORY_HELP, IkOptions, TrajectoryOptions, WorkerOptions
-from tepm_opt.cli.progress import shown
+from tepm_opt.cli.progress import show_progress
 from tepm_opt.cli.rigs import SeedOption, stopped_by_signals
 
 if TYPE_CHECKING:
@@ -59,8 +59,9 @@ def machines(
         compiled = load(robot, model)
         targets, course = which.trajectory(path, compiled), drive.course(setup)
         family = studies.Family(count, noises, seed)
-        with stopped_by_signals(), workers.opened() as executor, shown(as_json) as bars:
-            run = studies.run_machines(compiled.model, targets, course, setup, family, bound / 1e3, kinematics.settings(), executor, bars)
+        task = studies.DriveTask(compiled.model, targets, course, setup, family, kinematics.settings())
+        with stopped_by_signals(), workers.opened() as executor, show_progress(as_json) as bars:
+            run = studies.run_machines(task, bound / 1e3, executor, bars)
         run.save(folder)
         studies.draw_machines(run, folder)
     return report(run.summary(), format_lines(run, out), as_json, run.ok)

@@ -10,7 +10,7 @@ from rich.markup import escape
 
 from tepm_opt import studies
 from tepm_opt.cli.common import JsonOption, report
-from tepm_opt.cli.progress import shown
+from tepm_opt.cli.progress import show_progress
 from tepm_opt.data.files import output_folder
 
 if TYPE_CHECKING:
@@ -25,11 +25,11 @@ def paper(
     as_json: JsonOption = False,
 ) -> int:
     """The paper's Table I and Figs. 6 to 12 on the simulated rig and the model: figures, tables and one HTML page."""
-    from tepm_opt.studies.paper.run import chosen
+    from tepm_opt.studies.paper.run import select_experiments
 
-    names = chosen(figure or [])
+    names = select_experiments(figure or [])
     folder = output_folder(out)
-    with shown(as_json) as bars:
+    with show_progress(as_json) as bars:
         study = studies.run_study(rig, names, quick, bars, lambda found: save(found, folder))
     save(study, folder)
     summary = study.summary()

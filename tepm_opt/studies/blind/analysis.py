@@ -46,7 +46,7 @@ class Reliability:
 
 @dataclass(frozen=True, eq=False)
 class Analysis:
-    """What trials say together.
+    """Summary of all trials.
 
     Attributes:
         judged: trials with a label.
@@ -133,7 +133,7 @@ def rates(judged: Sequence[Judged]) -> list[Rate]:
         count_rate("right: two effects, clear", clear[2], lambda each: each.right, 0.92),
         count_rate("right: three effects, clear", clear[3], lambda each: each.right, 0.85),
         count_rate("right: four effects, clear", clear[4], lambda each: each.right, 0.7),
-        count_rate("found: one effect that leaves as much as the noise", small, lambda each: each.found(each.causes[0]), 0.8),
+        count_rate("found: one effect that leaves as much as the noise", small, lambda each: each.lists_cause(each.causes[0]), 0.8),
         count_rate("abstained: effects of the library, clear", library, lambda each: each.abstained, most=0.04),
         count_rate("an alarm where nothing is hidden", of["null"], lambda each: each.status != NOTHING, most=1 / 300),
         count_rate("right: causes outside the library", of["open"], lambda each: each.right),
@@ -159,7 +159,7 @@ def detection(judged: Sequence[Judged]) -> list[tuple[float, Rate, Rate]]:
     for low, high in pairwise(EDGES):
         some = [each for each in singles if low <= each.causes[0]["misfit_over_noise"] < high]
         name = f"{low:g} … {high:g}"
-        found = count_rate(name, some, lambda each: each.found(each.causes[0]))
+        found = count_rate(name, some, lambda each: each.lists_cause(each.causes[0]))
         curve.append((float(np.sqrt(low * high)), found, count_rate(name, some, lambda each: each.right)))
     return curve
 
@@ -198,7 +198,7 @@ def _distance(stated: np.ndarray, acts: np.ndarray, counts: np.ndarray) -> float
 
 
 def confusion(judged: Sequence[Judged]) -> dict[str, dict[str, int]]:
-    """How often what is said, first of all or as status, of what a trial hides alone."""
+    """Count the answers (first effect named, or status) by hidden cause, over trials that hide one cause at most."""
     table: dict[str, Counter[str]] = {}
     for each in judged:
         if len(each.causes) > 1:
@@ -208,7 +208,7 @@ def confusion(judged: Sequence[Judged]) -> dict[str, dict[str, int]]:
 
 
 def _hidden(each: Judged) -> str:
-    """What is hidden alone, by the name that is right for it; the form in brackets where it is another than the usual one."""
+    """Name the only hidden cause; its form stands in brackets where it is not the usual one."""
     if not each.causes:
         return NO_CAUSE
     key, names = each.causes[0]["cause"], each.causes[0]["names"]

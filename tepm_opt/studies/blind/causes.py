@@ -65,13 +65,13 @@ def direction(random: np.random.Generator, axes: int = 3) -> np.ndarray:
 
 
 def commanded(change: Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]) -> Commands:
-    """What becomes of commands, from a function of time (rows,), pressures and tensions (rows, 6)."""
+    """Wrap a function of time (rows,), pressures and tensions (rows, 6) as a change of set points, within the actuators' limits."""
 
-    def before(asked: SetPoints) -> SetPoints:
+    def change_setpoints(asked: SetPoints) -> SetPoints:
         pressures, tensions = change(asked.time, asked.inputs[:, :COUNT], asked.inputs[:, COUNT:])
         return SetPoints(asked.time, np.hstack([np.clip(pressures, 0.0, 0.5e6), np.clip(tensions, 0.0, 7.0)]), asked.tip_force)
 
-    return before
+    return change_setpoints
 
 
 def _rig(name: str, usual: float, low: float, high: float, settings: Callable[[np.random.Generator], Callable[[float], dict[str, Any]]],
@@ -99,8 +99,8 @@ def _rig(name: str, usual: float, low: float, high: float, settings: Callable[[n
     return cause
 
 
-def _of(key: str, **others: Any) -> Callable[[float], dict[str, Any]]:
-    """Settings of an imperfection of which one is the size."""
+def _vary_setting(key: str, **others: Any) -> Callable[[float], dict[str, Any]]:
+    """Make settings of an imperfection by its size, which is the one named `key`."""
     return lambda size: {key: size, **others}
 
 
@@ -110,15 +110,15 @@ def _payload(random: np.random.Generator) -> Callable[[float], dict[str, Any]]:
 
 
 def _friction(random: np.random.Generator) -> Callable[[float], dict[str, Any]]:
-    return _of("sliding_N", bristle_stiffness_N_per_m=random.uniform(3e3, 6e3), breakaway_ratio=random.uniform(1.0, 1.3))
+    return _vary_setting("sliding_N", bristle_stiffness_N_per_m=random.uniform(3e3, 6e3), breakaway_ratio=random.uniform(1.0, 1.3))
 
 
 def _hysteresis(random: np.random.Generator) -> Callable[[float], dict[str, Any]]:
-    return _of("width_Pa", operators=int(random.integers(3, 9)), asymmetry=random.choice([0.0, random.uniform(-0.6, 0.6)]))
+    return _vary_setting("width_Pa", operators=int(random.integers(3, 9)), asymmetry=random.choice([0.0, random.uniform(-0.6, 0.6)]))
 
 
 def _slack(random: np.random.Generator) -> Callable[[float], dict[str, Any]]:
-    return _of("length_m", winding_stiffness_N_per_m=random.uniform(6.0, 20.0))
+    return _vary_setting("length_m", winding_stiffness_N_per_m=random.uniform(6.0, 20.0))
 
 
 def _dead_zone(random: np.random.Generator) -> Callable[[float], dict[str, Any]]:
@@ -199,7 +199,7 @@ def _tension_gain(random: np.random.Generator) -> Form:
 def _choked(random: np.random.Generator) -> Form:
     """A valve through which no more than so much flows: the lag of large steps."""
     band, critical = random.uniform(1e4, 4e4), random.uniform(0.2, 0.5)
-    at = _of("rate_per_s", band_Pa=band, critical_ratio=critical)
+    at = _vary_setting("rate_per_s", band_Pa=band, critical_ratio=critical)
     return Form(("regulator_lag",), lambda size: Deviation({"choked_filling": at(1 / size)}), 0.2, 0.011, 20.0)
 
 
@@ -212,7 +212,7 @@ def _sticking(random: np.random.Generator) -> Form:
     """Tendon friction without motion of the muscle: the tension at the end plays within a constant and a share around the motor's."""
     name, share = "tendon_friction", random.uniform(0.3, 1.5)  # of the tension, a newton of the constant
 
-    def at(size: float) -> Deviation:
+    def deviate_by(size: float) -> Deviation:
         constant, part = size, min(share * size, 0.8)
 
         def played(time: np.ndarray, pressures: np.ndarray, tensions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -223,7 +223,7 @@ def _sticking(random: np.random.Generator) -> Form:
 
         return Deviation(before=commanded(played))
 
-    return Form((name,), at, 0.1, 1e-3, 1.5, sizes=lambda size: {f"{name}.constant": size, f"{name}.share": min(share * size, 0.8)})
+    return Form((name,), deviate_by, 0.1, 1e-3, 1.5, sizes=lambda size: {f"{name}.constant": size, f"{name}.share": min(share * size, 0.8)})
 
 
 def _load(random: np.random.Generator) -> Form:
@@ -282,18 +282,18 @@ def _drifting(random: np.random.Generator) -> Form:
     """A pose that goes along a slow sine, of which a session sees a part."""
     about, along, period = direction(random), direction(random) * random.uniform(0.0, 5e-3), float(random.uniform(400.0, 2000.0))
 
-    def at(size: float) -> Deviation:
+    def deviate_by(size: float) -> Deviation:
         settings = {"rotation_deg": tuple(size * about), "shift_m": tuple(size * along), "period_s": period}
         return Deviation({"tracker_drift": settings})
 
-    return Form(("tracker_drift",), at, 1.0, 1e-2, 20.0)
+    return Form(("tracker_drift",), deviate_by, 1.0, 1e-2, 20.0)
 
 
 def _slipping(random: np.random.Generator) -> Form:
     """One tendon that slides in its clamp."""
     name, which, instant = "tendon_slip", str(random.choice(MUSCLES)), float(random.uniform(3.0, 40.0))
 
-    def at(size: float) -> Deviation:
+    def deviate_by(size: float) -> Deviation:
         return Deviation({name: {"share": {which: size}, "instant_s": instant}})
 
     def alike(runs: Sequence[Excitation], acting: Sequence[bool]) -> tuple[str, ...]:
@@ -302,7 +302,7 @@ def _slipping(random: np.random.Generator) -> Form:
         first = min((float(times[0]) for times in pulled if len(times)), default=np.inf)
         return ("tension_gain",) if first > instant else ()
 
-    return Form((name,), at, 0.2, 1e-2, 1.0, {name: which}, lambda size: {f"{name}[{which}].share": size}, alike=alike)
+    return Form((name,), deviate_by, 0.2, 1e-2, 1.0, {name: which}, lambda size: {f"{name}[{which}].share": size}, alike=alike)
 
 
 def _shaking(random: np.random.Generator) -> Form:
@@ -330,21 +330,21 @@ def _skewed(random: np.random.Generator) -> Form:
 LIBRARY: dict[str, Cause] = {
     "payload": _rig("payload", 5e-3, 1e-4, 0.1, _payload, mass=1.0),
     "mass_distribution": _mass_distribution,
-    "rigid_plates": _rig("rigid_plates", 4e-3, 1e-4, 0.012, lambda random: _of("clamped_length_m")),
-    "stiffness_hardening": _rig("stiffness_hardening", 1.0, 1e-2, 8.0, lambda random: _of("growth")),
+    "rigid_plates": _rig("rigid_plates", 4e-3, 1e-4, 0.012, lambda random: _vary_setting("clamped_length_m")),
+    "stiffness_hardening": _rig("stiffness_hardening", 1.0, 1e-2, 8.0, lambda random: _vary_setting("growth")),
     "structural_friction": _rig("structural_friction", 0.1, 1e-3, 1.5, _friction),
-    "creep": _rig("creep", 0.1, 1e-3, 1.0, lambda random: _of("fraction")),
+    "creep": _rig("creep", 0.1, 1e-3, 1.0, lambda random: _vary_setting("fraction")),
     "pressure_dead_zone": _rig("pressure_dead_zone", 15e3, 500.0, 60e3, _dead_zone),
     "pressure_hysteresis": _rig("pressure_hysteresis", 8e3, 100.0, 60e3, _hysteresis),
     "regulator_lag": _lag,
-    "time_delay": _rig("time_delay", 0.03, 1e-3, 0.3, lambda random: _of("delay_s"), delay=1.0),
+    "time_delay": _rig("time_delay", 0.03, 1e-3, 0.3, lambda random: _vary_setting("delay_s"), delay=1.0),
     "actuator_gain": _gain,
     "actuator_offset": _actuator_offset,
     "actuator_scatter": _rig("actuator_scatter", 0.02, 1e-3, 0.3, _scatter),
     "regulator_leak": _leak,
     "tension_gain": _tension_gain,
     "choked_filling": _choked,
-    "pressure_crosstalk": _rig("pressure_crosstalk", 0.05, 1e-3, 0.4, lambda random: _of("share")),
+    "pressure_crosstalk": _rig("pressure_crosstalk", 0.05, 1e-3, 0.4, lambda random: _vary_setting("share")),
     "tendon_friction": _sticking,
     "tendon_slack": _rig("tendon_slack", 0.03, 1e-3, 0.2, _slack),
     "external_load": _load,

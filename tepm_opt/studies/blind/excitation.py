@@ -62,8 +62,10 @@ def _one_after_the_other(runs: Iterable[Excitation]) -> tuple[Excitation, ...]:
     return tuple(found)
 
 
-def drawn(random: np.random.Generator, shortest: float, longest: float, fit: int | None = None, judges: int = 2) -> tuple[Excitation, ...]:
-    """Runs of designs, levels and lengths that are drawn: three to five to fit to and some to judge by.
+def draw_runs(
+    random: np.random.Generator, shortest: float, longest: float, fit: int | None = None, judges: int = 2
+) -> tuple[Excitation, ...]:
+    """Draw runs of random designs, levels and lengths: three to five to fit to and some to judge by.
 
     Pressures apart and together, tensions and steps or ramps are always among three and more runs to fit to.
 

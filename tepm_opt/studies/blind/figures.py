@@ -64,7 +64,7 @@ def rates_figure(found: Analysis) -> Figure:
 
 
 def detection_figure(found: Analysis) -> Figure:
-    """How often a single effect is found, and the whole answer right, against the misfit it leaves."""
+    """Draw the rate at which a single effect is found, and the whole answer right, over the misfit it leaves."""
     figure = Figure(figsize=(7.0, 4.4), **STYLE)  # type: ignore[arg-type]
     axes = figure.add_subplot()
     bins = [entry for entry in found.detection if entry[1].of]
@@ -110,7 +110,7 @@ def reliability_figure(found: Reliability) -> Figure:
 
 
 def confusion_figure(found: Analysis) -> Figure:
-    """What is said of what is hidden alone; an outlined field is the right answer. What has no name stands below."""
+    """Draw answers by hidden cause; an outlined field is the right answer. Causes without a name stand below."""
     total = Counter[str]()
     for said in found.confusion.values():
         total.update(said)

@@ -21,7 +21,7 @@ Spoil = Callable[[np.random.Generator, np.ndarray, float], np.ndarray]
 
 @dataclass(frozen=True)
 class Flaw:
-    """How data are poor.
+    """Flaw that makes data poor.
 
     Attributes:
         seconds: shortest and longest run.
@@ -42,7 +42,7 @@ class Flaw:
     spoil: Spoil | None = None
 
 
-def _without(rows: np.ndarray, points: np.ndarray, which: slice | int = slice(None)) -> np.ndarray:
+def _hide_points(rows: np.ndarray, points: np.ndarray, which: slice | int = slice(None)) -> np.ndarray:
     found = points.copy()
     found[rows, which] = np.nan
     return found
@@ -54,13 +54,13 @@ def _gaps(random: np.random.Generator, points: np.ndarray, noise: float) -> np.n
     while lost.mean() < 0.25:
         start = int(random.integers(2, len(points)))
         lost[start : start + int(random.integers(5, 40))] = True
-    return _without(lost, points)
+    return _hide_points(lost, points)
 
 
 def _hidden_point(random: np.random.Generator, points: np.ndarray, noise: float) -> np.ndarray:
     """One point, each time another, is not seen for half of the run."""
     start = int(random.integers(1, len(points) // 2))
-    return _without(np.arange(start, start + len(points) // 2), points, int(random.integers(points.shape[1])))
+    return _hide_points(np.arange(start, start + len(points) // 2), points, int(random.integers(points.shape[1])))
 
 
 def _outliers(random: np.random.Generator, points: np.ndarray, noise: float) -> np.ndarray:
@@ -108,8 +108,8 @@ FEEDBACK = 1.5e5  # Pa/m, half of what would halve a static error
 SLOWLY = 1.0  # s, time constant of the feedback
 
 
-def corrected(asked: SetPoints, measured: np.ndarray, goal: np.ndarray) -> SetPoints:
-    """Commands of a controller: as asked, and pressures that push the tip back, slowly, to where it should be.
+def add_feedback(asked: SetPoints, measured: np.ndarray, goal: np.ndarray) -> SetPoints:
+    """Add a controller's feedback to commands: pressures that push the tip back, slowly, to where it should be.
 
     Args:
         asked: commands without feedback.
@@ -140,25 +140,25 @@ def mistaken(robot: Robot) -> dict[str, Cause]:
     return {name: cause(name, *limits) for name, limits in {**beyond, "r": (5e-3, 0.3), "L_0": (1e-3, 0.1)}.items()}
 
 
-def _shifted(seconds: float) -> Deviation:
-    """Positions that lead the inputs by some seconds."""
+def _shift_inputs(seconds: float) -> Deviation:
+    """Let inputs and force act some seconds early, so that positions lead them."""
 
-    def before(asked: SetPoints) -> SetPoints:
+    def interpolate_ahead(asked: SetPoints) -> SetPoints:
         at = asked.time + seconds
         columns = [np.stack([np.interp(at, asked.time, column) for column in part.T], axis=1) for part in (asked.inputs, asked.tip_force)]
         return SetPoints(asked.time, *columns)
 
-    return Deviation(before=before)
+    return Deviation(before=interpolate_ahead)
 
 
 def clock_ahead(random: np.random.Generator) -> Form:
     """Positions bear earlier times than inputs."""
-    return Form((), _shifted, 0.02, 1e-3, 0.3)
+    return Form((), _shift_inputs, 0.02, 1e-3, 0.3)
 
 
 def clock_behind(random: np.random.Generator) -> Form:
     """Positions bear later times than inputs, which is what a delay of the machine looks like."""
-    return Form((), lambda size: _shifted(-size), 0.02, 1e-3, 0.3, allowed=("time_delay",))
+    return Form((), lambda size: _shift_inputs(-size), 0.02, 1e-3, 0.3, allowed=("time_delay",))
 
 
 def jitter(random: np.random.Generator) -> Form:

@@ -38,8 +38,8 @@ Change = Callable[[float, np.ndarray, np.ndarray, np.ndarray], Pair]
 """Pressures and tensions that act, from a size, time (rows,), and pressures and tensions commanded, (rows, 6) in Pa and N."""
 
 
-def _seen(usual: float, low: float, high: float, drawn: Callable[[np.random.Generator], Callable[[float], Sight]]) -> Cause:
-    """A cause behind the points.
+def _make_sight_cause(usual: float, low: float, high: float, drawn: Callable[[np.random.Generator], Callable[[float], Sight]]) -> Cause:
+    """Make a cause that acts on measured points.
 
     Args:
         usual, low, high: sizes, see `Form`.
@@ -53,13 +53,13 @@ def _seen(usual: float, low: float, high: float, drawn: Callable[[np.random.Gene
     return cause
 
 
-def _sent(
+def _make_command_cause(
     usual: float,
     low: float,
     high: float,
     drawn: Callable[[np.random.Generator], Change],
 ) -> Cause:
-    """A cause before the actuators.
+    """Make a cause that acts on commands, before the actuators.
 
     Args:
         usual, low, high: sizes, see `Form`.
@@ -73,8 +73,10 @@ def _sent(
     return cause
 
 
-def _built(name: str, usual: float, low: float, high: float, settings: Callable[[np.random.Generator], Callable[[float], dict]]) -> Cause:
-    """A cause that is an imperfection of the rig.
+def _make_rig_cause(
+    name: str, usual: float, low: float, high: float, settings: Callable[[np.random.Generator], Callable[[float], dict]]
+) -> Cause:
+    """Make a cause that is an imperfection of the rig.
 
     Args:
         name: of the imperfection.
@@ -92,45 +94,45 @@ def _built(name: str, usual: float, low: float, high: float, settings: Callable[
 def _curved_field(random: np.random.Generator) -> Callable[[float], Sight]:
     bends = random.normal(size=(3, 3, 3))  # of each axis, with the products of two
 
-    def at(size: float) -> Sight:
-        def after(time: np.ndarray, points: np.ndarray) -> np.ndarray:
+    def make_sight(size: float) -> Sight:
+        def bend_field(time: np.ndarray, points: np.ndarray) -> np.ndarray:
             away = points - np.array([0.0, 0.0, 0.15])
             return points + size * np.einsum("rpi,ijk,rpk->rpj", away, bends, away)
 
-        return after
+        return bend_field
 
-    return at
+    return make_sight
 
 
 def _filtered(random: np.random.Generator) -> Callable[[float], Sight]:
     which = int(random.integers(len(POINTS)))
 
-    def at(size: float) -> Sight:
-        def after(time: np.ndarray, points: np.ndarray) -> np.ndarray:
+    def make_sight(size: float) -> Sight:
+        def filter_point(time: np.ndarray, points: np.ndarray) -> np.ndarray:
             found = points.copy()
             for k, (seconds, now) in enumerate(zip(np.diff(time), points[1:, which], strict=True)):
                 found[k + 1, which] = now + (found[k, which] - now) * np.exp(-seconds / size)
             return found
 
-        return after
+        return filter_point
 
-    return at
+    return make_sight
 
 
 def _loose(random: np.random.Generator) -> Callable[[float], Sight]:
     which = int(random.integers(len(POINTS)))
 
-    def at(size: float) -> Sight:
-        def after(time: np.ndarray, points: np.ndarray) -> np.ndarray:
+    def make_sight(size: float) -> Sight:
+        def hold_back_point(time: np.ndarray, points: np.ndarray) -> np.ndarray:
             found = points.copy()
             for last, now in pairwise(found[:, which]):
                 away = now - last
                 now[:] = now - away * min(1.0, size / max(np.linalg.norm(away), 1e-12))
             return found
 
-        return after
+        return hold_back_point
 
-    return at
+    return make_sight
 
 
 def _slewed(random: np.random.Generator) -> Change:
@@ -173,10 +175,10 @@ def _crossed(random: np.random.Generator) -> Change:
 def _load_cell(random: np.random.Generator) -> Form:
     sign = float(random.choice([-1, 1]))
 
-    def at(size: float) -> Deviation:
+    def deviate_by(size: float) -> Deviation:
         return Deviation(before=lambda asked: SetPoints(asked.time, asked.inputs, (1 + sign * size) * asked.tip_force))
 
-    return Form((), at, 0.1, 1e-3, 0.6)
+    return Form((), deviate_by, 0.1, 1e-3, 0.6)
 
 
 def _metal(random: np.random.Generator) -> Callable[[float], dict]:
@@ -212,21 +214,21 @@ def _hose(random: np.random.Generator) -> Callable[[float], dict]:
 
 
 FOREIGN: dict[str, Cause] = {
-    "curved_field": _seen(0.1, 1e-3, 3.0, _curved_field),
-    "metal_nearby": _built("field_distortion", 0.01, 1e-4, 0.1, _metal),
-    "sagging_supply": _sent(0.1, 1e-3, 1.0, _sagging),
-    "slew_limit": _sent(2e-6, 5e-8, 5e-5, _slewed),
-    "filtered_point": _seen(0.03, 1e-3, 1.0, _filtered),
-    "loose_marker": _seen(3e-3, 1e-4, 0.05, _loose),
-    "soft_module": _built("soft_part", 0.1, 1e-3, 0.6, _softer),
-    "soft_level": _built("soft_part", 0.2, 1e-3, 0.8, _weak_level),
-    "twisted_body": _built("twisted_body", 0.01, 1e-4, 0.1, _twisted),
-    "rippled_regulator": _sent(2e3, 50.0, 20e3, _rippled),
-    "pinched_tendons": _sent(0.2, 1e-3, 3.0, _pinched),
-    "crossed_modules": _sent(0.03, 1e-3, 0.5, _crossed),
-    "tip_wall": _built("tip_wall", 2.0, 1e-2, 500.0, _wall),
-    "tied_hose": _built("tethered_tip", 0.1, 1e-3, 20.0, _hose),
-    "tip_drag": _built("tip_drag", 0.1, 1e-3, 20.0, lambda random: lambda size: {"size_N_s2_per_m2": size}),
+    "curved_field": _make_sight_cause(0.1, 1e-3, 3.0, _curved_field),
+    "metal_nearby": _make_rig_cause("field_distortion", 0.01, 1e-4, 0.1, _metal),
+    "sagging_supply": _make_command_cause(0.1, 1e-3, 1.0, _sagging),
+    "slew_limit": _make_command_cause(2e-6, 5e-8, 5e-5, _slewed),
+    "filtered_point": _make_sight_cause(0.03, 1e-3, 1.0, _filtered),
+    "loose_marker": _make_sight_cause(3e-3, 1e-4, 0.05, _loose),
+    "soft_module": _make_rig_cause("soft_part", 0.1, 1e-3, 0.6, _softer),
+    "soft_level": _make_rig_cause("soft_part", 0.2, 1e-3, 0.8, _weak_level),
+    "twisted_body": _make_rig_cause("twisted_body", 0.01, 1e-4, 0.1, _twisted),
+    "rippled_regulator": _make_command_cause(2e3, 50.0, 20e3, _rippled),
+    "pinched_tendons": _make_command_cause(0.2, 1e-3, 3.0, _pinched),
+    "crossed_modules": _make_command_cause(0.03, 1e-3, 0.5, _crossed),
+    "tip_wall": _make_rig_cause("tip_wall", 2.0, 1e-2, 500.0, _wall),
+    "tied_hose": _make_rig_cause("tethered_tip", 0.1, 1e-3, 20.0, _hose),
+    "tip_drag": _make_rig_cause("tip_drag", 0.1, 1e-3, 20.0, lambda random: lambda size: {"size_N_s2_per_m2": size}),
     "wrong_load_cell": _load_cell,
 }
 """By key; none is a name of SPEC's vocabulary."""

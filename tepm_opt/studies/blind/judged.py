@@ -36,7 +36,7 @@ class Judged:
 
     @property
     def label(self) -> Mapping[str, Any]:
-        """What is hidden."""
+        """Label of the trial: its hidden causes."""
         return self.result["label"]
 
     @property
@@ -51,7 +51,7 @@ class Judged:
 
     @property
     def truth(self) -> set[Name]:
-        """What should be named."""
+        """Names that the right answer has, with actuator, point or parameter."""
         detail = self.label["detail"]
         return {(name, detail.get(name)) for name in self.label["names"]}
 
@@ -102,7 +102,7 @@ class Judged:
         return self.status == NAMED and said == self.truth
 
     def _stands_for(self, name: Name) -> Name:
-        """What is hidden, where a name is of what looks the same in these runs; else the name."""
+        """Replace a name by that of a hidden cause that looks the same in these runs; else keep it."""
         alike = self.label.get("alike", {})
         return next(((one, name[1]) for one in alike if name[0] in alike[one] and name[1] == self.label["detail"].get(one)), name)
 
@@ -116,7 +116,7 @@ class Judged:
         """Whether the answer is not right, and says nothing false with at least even odds either."""
         return not self.right and not self.false_above(EVEN)
 
-    def found(self, cause: Mapping[str, Any]) -> bool:
+    def lists_cause(self, cause: Mapping[str, Any]) -> bool:
         """Whether a hidden cause is listed with at least even odds."""
         said = {self._stands_for(name) for name in self.said}
         return all((name, self.label["detail"].get(name)) in said for name in cause["names"])

@@ -30,7 +30,7 @@ Build = Callable[[Any, Body], None]
 
 @dataclass(frozen=True)
 class Deviation:
-    """What makes a machine differ from its robot file.
+    """Deviation of a machine from its robot file.
 
     Attributes:
         imperfections: of the rig, as a rig file has them.
@@ -60,8 +60,8 @@ class Deviation:
         )
 
 
-def together(deviations: Iterable[Deviation]) -> Deviation:
-    """All deviations at once."""
+def combine_deviations(deviations: Iterable[Deviation]) -> Deviation:
+    """Combine deviations into one."""
     return reduce(Deviation.__add__, deviations, Deviation())
 
 
@@ -107,19 +107,19 @@ def played(file: RigFile, deviation: Deviation, run: Excitation, noise: int) -> 
     """
     asked = run.setpoints
     acting = asked if deviation.before is None else deviation.before(asked)
-    points = _seen(file, acting, noise, run.began)
+    points = _track_points(file, acting, noise, run.began)
     if deviation.after is not None:
         clear = points
         if file.tracker.noise_rms_m:
-            clear = _seen(
+            clear = _track_points(
                 file.model_copy(update={"tracker": file.tracker.model_copy(update={"noise_rms_m": 0.0})}), acting, noise, run.began
             )
         points = deviation.after(asked.time, clear) + (points - clear)
     return Run(run.file, run.role, asked.time, asked.inputs, asked.tip_force, points, began=run.began)
 
 
-def _seen(file: RigFile, acting: SetPoints, noise: int, began: float) -> np.ndarray:
-    """Points as the rig's tracker sees them, (rows, points, 3) in m; for `played`."""
+def _track_points(file: RigFile, acting: SetPoints, noise: int, began: float) -> np.ndarray:
+    """Simulate the rig and return the points that its tracker sees, (rows, points, 3) in m."""
     rig = SimulatedRig(file, watched=False)
     rig.reseed(noise, began)
     rig.schedule(acting)

@@ -58,7 +58,7 @@ def write_blind_page(path: str | Path, run: BlindRun, figures: Mapping[str, Path
     status = "bad" if missed else "good" if of and run.ok else "partial"
     write(
         path, "blind.html", figures,
-        sentence=sentence, missed=missed, status=status, groups=groups, seed=run.seed, done=run.ok, message=run.outcome.message,
+        sentence=sentence, missed=missed, status=status, groups=groups, seed=run.series.seed, done=run.ok, message=run.outcome.message,
     )  # fmt: skip
 
 

@@ -26,7 +26,7 @@ from tepm_opt.progress import Progress, silent, track
 from tepm_opt.solvers.parallel import cores, on_cores
 from tepm_opt.studies.blind.analysis import Analysis, analysed
 from tepm_opt.studies.blind.table import markdown
-from tepm_opt.studies.blind.trial import Trial, make
+from tepm_opt.studies.blind.trial import Trial, TrialSeries, make
 
 RESULTS, TABLE = "trials.jsonl", "summary.md"
 DIED = "the process of this trial died"
@@ -39,25 +39,23 @@ class BlindRun:
     """Blind trials and what was said about each.
 
     Attributes:
-        seed: of all trials.
-        family: that all are of; None for all families in turn.
-        asked: how many trials.
+        series: the trials.
         results: a line of `trials.jsonl` each, by number.
         interrupted: whether the user ended it before all were done.
     """
 
-    seed: int
-    family: str | None
-    asked: int
+    series: TrialSeries
     results: tuple[dict[str, Any], ...]
     interrupted: bool = False
 
     @property
     def outcome(self) -> Outcome:
         """Solved where all trials have a result."""
-        if len(self.results) == self.asked:
+        if len(self.results) == self.series.count:
             return Outcome()
-        return Outcome(Ending.INTERRUPTED if self.interrupted else Ending.FAILED, f"{len(self.results)} of {self.asked} trials are done")
+        return Outcome(
+            Ending.INTERRUPTED if self.interrupted else Ending.FAILED, f"{len(self.results)} of {self.series.count} trials are done"
+        )
 
     @property
     def ok(self) -> bool:
@@ -66,12 +64,12 @@ class BlindRun:
 
     @cached_property
     def analysis(self) -> Analysis:
-        """What the trials say together."""
+        """Summary of all trials."""
         return analysed(self.results)
 
     def summary(self) -> dict[str, Any]:
         """All numbers, with what makes the trials again."""
-        asked = {"trials": self.asked, "seed": self.seed, "family": self.family, "version": version("tepm-opt")}
+        asked = {"trials": self.series.count, "seed": self.series.seed, "family": self.series.family, "version": version("tepm-opt")}
         return {"asked": asked, "interrupted": self.interrupted, **self.analysis.summary()}
 
     def save(self, folder: str | Path) -> None:
@@ -85,7 +83,7 @@ class BlindRun:
         write_atomically(folder / TABLE, markdown(self.analysis))
 
     def __repr__(self) -> str:
-        return f"<BlindRun {self.outcome}; {len(self.results)} trials, seed {self.seed}>"
+        return f"<BlindRun {self.outcome}; {len(self.results)} trials, seed {self.series.seed}>"
 
 
 def examined(trial: Trial) -> dict[str, Any]:
@@ -93,7 +91,7 @@ def examined(trial: Trial) -> dict[str, Any]:
 
     What goes wrong is a result, too.
     """
-    result = {**_named(trial), "label": None, "verdict": None, "error": None}
+    result = {**_describe_trial(trial), "label": None, "verdict": None, "error": None}
     began, used = time.monotonic(), time.process_time()
     making, folder = 0.0, Path()
     try:
@@ -111,16 +109,14 @@ def examined(trial: Trial) -> dict[str, Any]:
 
 
 def run_blind(
-    out: str | Path, trials: int, seed: int = 0, family: str | None = None, executor: Executor | None = None, jobs: int | None = None,
-    progress: Progress = silent, examine: Examine = examined,
+    out: str | Path, series: TrialSeries, executor: Executor | None = None, jobs: int | None = None, progress: Progress = silent,
+    examine: Examine = examined,
 ) -> BlindRun:  # fmt: skip
     """Make trials, explain each, and append what is said about it to `trials.jsonl`; trials that stand there already are not repeated.
 
     Args:
         out: folder.
-        trials: how many.
-        seed: of all trials; each depends on it, on its number and its family alone.
-        family: of all trials; all families in turn where None.
+        series: the trials.
         executor: where trials run; processes of this machine where None. It has to import this package, and is left open.
         jobs: how many processes, as many as there are cores where None; each trial has one core.
         progress: told of every trial that is done.
@@ -129,10 +125,10 @@ def run_blind(
     Raises:
         InputError: no such family; the folder cannot be written to; an executor given does not work any more.
     """
-    wanted = [Trial.numbered(seed, number, family) for number in range(trials)]
+    wanted, trials = series.trials, series.count
     path = output_folder(out) / RESULTS
     done = {_key(result): result for result in read_results(path)}
-    left = [trial for trial in wanted if _of(trial) not in done]
+    left = [trial for trial in wanted if _identify_trial(trial) not in done]
     progress("trials", trials - len(left), trials)
     interrupted = False
     with path.open("a", encoding="utf-8") as file:
@@ -141,7 +137,7 @@ def run_blind(
             file.write(json.dumps(result) + "\n")
             file.flush()
             done[_key(result)] = result
-            progress("trials", sum(_of(trial) in done for trial in wanted), trials)
+            progress("trials", sum(_identify_trial(trial) in done for trial in wanted), trials)
 
         try:
             if executor is None:
@@ -150,24 +146,22 @@ def run_blind(
                 raise InputError("the executor does not work any more; finished trials are kept, the same command goes on")
         except KeyboardInterrupt:
             interrupted = True
-    return BlindRun(seed, family, trials, tuple(done[_of(trial)] for trial in wanted if _of(trial) in done), interrupted)
+    return BlindRun(series, tuple(done[_identify_trial(trial)] for trial in wanted if _identify_trial(trial) in done), interrupted)
 
 
-def write_trials(folder: str | Path, trials: int, seed: int = 0, family: str | None = None, progress: Progress = silent) -> None:
+def write_trials(folder: str | Path, series: TrialSeries, progress: Progress = silent) -> None:
     """Write the data sets of trials, FAMILY_NUMBER each, and what is hidden in them, labels/FAMILY_NUMBER.json.
 
     Args:
         folder: for them.
-        trials: how many.
-        seed: of all trials.
-        family: of all trials; all families in turn where None.
+        series: the trials.
         progress: told of every data set.
 
     Raises:
         InputError: no such family; the folder cannot be written to.
     """
     folder = output_folder(folder)
-    for trial in track([Trial.numbered(seed, number, family) for number in range(trials)], progress, "data sets", trials):
+    for trial in track(series.trials, progress, "data sets", series.count):
         make(trial).write(folder, f"{trial.family}_{trial.number:03d}")
 
 
@@ -194,11 +188,11 @@ def read_results(path: str | Path) -> list[dict[str, Any]]:
     return found
 
 
-def _named(trial: Trial) -> dict[str, Any]:
+def _describe_trial(trial: Trial) -> dict[str, Any]:
     return {"family": trial.family, "seed": trial.seed, "number": trial.number}
 
 
-def _of(trial: Trial) -> tuple[str, int, int]:
+def _identify_trial(trial: Trial) -> tuple[str, int, int]:
     return trial.family, trial.seed, trial.number
 
 
@@ -207,7 +201,7 @@ def _key(result: dict[str, Any]) -> tuple[str, int, int]:
 
 
 def _died(trial: Trial) -> dict[str, Any]:
-    return {**_named(trial), "label": None, "verdict": None, "error": DIED, "seconds": {}}
+    return {**_describe_trial(trial), "label": None, "verdict": None, "error": DIED, "seconds": {}}
 
 
 def _spread(executor: Executor, trials: Sequence[Trial], at_once: int, keep: Keep, examine: Examine) -> list[Trial]:

@@ -50,7 +50,7 @@ class Pilot:
     by: np.ndarray
 
     @staticmethod
-    def of(robot: Robot, machine: Deviation, runs: Sequence[Excitation], noise: float, rate: float = RATE) -> Pilot:
+    def from_simulation(robot: Robot, machine: Deviation, runs: Sequence[Excitation], noise: float, rate: float = RATE) -> Pilot:
         """Simulate the runs, and those to fit to again with each parameter changed.
 
         Args:

@@ -20,11 +20,11 @@ from tepm_opt.models.effects import effects
 from tepm_opt.models.robot import Robot, load_robot
 from tepm_opt.studies.blind import engine
 from tepm_opt.studies.blind.causes import LIBRARY, Cause
-from tepm_opt.studies.blind.excitation import RATE, drawn, thinned
-from tepm_opt.studies.blind.flaws import CLOCKS, POOR, Flaw, corrected, mistaken, spoiled
+from tepm_opt.studies.blind.excitation import RATE, draw_runs, thinned
+from tepm_opt.studies.blind.flaws import CLOCKS, POOR, Flaw, add_feedback, mistaken, spoiled
 from tepm_opt.studies.blind.foreign import FOREIGN
 from tepm_opt.studies.blind.hidden import Experiment, Hidden, describe
-from tepm_opt.studies.blind.machine import Deviation, played, rig_file, together
+from tepm_opt.studies.blind.machine import Deviation, combine_deviations, played, rig_file
 from tepm_opt.studies.blind.sizes import UNBEARABLE, Pilot
 
 Family = Literal["closed", "open", "wrong", "poor", "null", "engine"]
@@ -49,7 +49,7 @@ TRIES = 8  # draws until a machine bears what is drawn
 
 @dataclass(frozen=True)
 class Trial:
-    """Which trial: everything in it is drawn from these.
+    """Identity of a trial: everything in it is drawn from these.
 
     Attributes:
         seed: of all trials.
@@ -74,8 +74,32 @@ class Trial:
 
     @property
     def random(self) -> np.random.Generator:
-        """What everything is drawn from."""
+        """Generator of random numbers that everything in the trial is drawn from."""
         return np.random.default_rng([self.seed, self.number, zlib.crc32(self.family.encode())])
+
+
+@dataclass(frozen=True)
+class TrialSeries:
+    """Trials by their numbers; each depends on the seed, its number and its family alone.
+
+    Attributes:
+        count: how many.
+        seed: of all.
+        family: that all are of; None for all families in turn.
+    """
+
+    count: int
+    seed: int = 0
+    family: str | None = None
+
+    @property
+    def trials(self) -> list[Trial]:
+        """All trials, by number.
+
+        Raises:
+            InputError: no such family.
+        """
+        return [Trial.numbered(self.seed, number, self.family) for number in range(self.count)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,9 +137,9 @@ def _pilot(random: np.random.Generator, flaw: Flaw | None = None) -> Pilot:
     noise = float(np.exp(random.uniform(*np.log(NOISE))))
     machine = Deviation(factors={name: 1 + float(random.uniform(-width, width)) for name, width in sorted(_robot().priors.items())})
     for _ in range(TRIES):
-        runs = [thinned(run, flaw.every) for run in drawn(random, *flaw.seconds, flaw.fit, flaw.judges)]
+        runs = [thinned(run, flaw.every) for run in draw_runs(random, *flaw.seconds, flaw.fit, flaw.judges)]
         try:
-            return Pilot.of(_robot(), machine, runs, noise, RATE / flaw.every)
+            return Pilot.from_simulation(_robot(), machine, runs, noise, RATE / flaw.every)
         except UNBEARABLE:
             continue
     raise RuntimeError(f"a machine does not bear any of {TRIES} draws of inputs")
@@ -188,11 +212,11 @@ DRAW: dict[Family, Callable[[np.random.Generator], Experiment]] = {
 def _recorded(trial: Trial, random: np.random.Generator, experiment: Experiment) -> Made:
     """The runs of the machine with its causes, fewer where it does not bear all at once."""
     pilot, flaw = experiment.pilot, experiment.flaw
-    acting = _acting(random, len(pilot.runs)) if flaw.partly else np.ones(len(pilot.runs), dtype=bool)
+    acting = _draw_acting_runs(random, len(pilot.runs)) if flaw.partly else np.ones(len(pilot.runs), dtype=bool)
     while True:
-        machine = together([pilot.machine, *(cause.form.at(cause.size) for cause in experiment.causes)])
+        machine = combine_deviations([pilot.machine, *(cause.form.at(cause.size) for cause in experiment.causes)])
         try:
-            runs = [_measured(trial, experiment, number, machine if acts else pilot.machine) for number, acts in enumerate(acting)]
+            runs = [_record_run(trial, experiment, number, machine if acts else pilot.machine) for number, acts in enumerate(acting)]
             break
         except UNBEARABLE:
             if not experiment.causes:
@@ -203,14 +227,14 @@ def _recorded(trial: Trial, random: np.random.Generator, experiment: Experiment)
     return Made(dataset, describe(experiment, machine, acting))
 
 
-def _acting(random: np.random.Generator, runs: int) -> np.ndarray:
-    """In which runs a cause acts that comes or goes during the session."""
+def _draw_acting_runs(random: np.random.Generator, runs: int) -> np.ndarray:
+    """Draw the runs, (runs,) of bool, in which a cause acts that comes or goes during the session."""
     first = int(random.integers(2, 4))  # at least two runs to fit to with it, and two without
     return (np.arange(runs) >= first) == (random.uniform() < 0.5)
 
 
-def _measured(trial: Trial, experiment: Experiment, number: int, machine: Deviation) -> Run:
-    """A run of a machine, with the feedback of a controller where there is one.
+def _record_run(trial: Trial, experiment: Experiment, number: int, machine: Deviation) -> Run:
+    """Record a run of a machine, with the feedback of a controller where there is one.
 
     Args:
         trial: which.
@@ -226,5 +250,5 @@ def _measured(trial: Trial, experiment: Experiment, number: int, machine: Deviat
     if experiment.flaw.loop:
         goal = played(rig_file(pilot.robot, pilot.machine, 0.0, rate=pilot.rate), pilot.machine, planned, 0).points
         for _ in range(PASSES):  # what is measured and what is commanded agree more and more
-            run = played(file, machine, replace(planned, setpoints=corrected(planned.setpoints, run.points, goal)), noise)
+            run = played(file, machine, replace(planned, setpoints=add_feedback(planned.setpoints, run.points, goal)), noise)
     return run

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +55,7 @@ class Family:
 
 @dataclass(frozen=True)
 class Drive:
-    """What one machine did with one noise.
+    """Result of one machine with one noise.
 
     Attributes:
         machine: its number, and `noise`, that of the run.
@@ -163,24 +164,32 @@ class MachinesRun(Tabular):
 
 
 @dataclass(frozen=True)
-class MachineTask:
-    """One machine, described so that another process can drive it."""
+class DriveTask:
+    """A trajectory to be followed on random machines, described so that other processes can do it.
+
+    Attributes:
+        model: the controller's; the machines are around its robot file.
+        trajectory: targets.
+        course: how it is driven.
+        setup: which controller.
+        family: which machines.
+        kinematics: settings of the inverse kinematics.
+    """
 
     model: Model
     trajectory: Trajectory
     course: Course
     setup: LoopSetup
-    kinematics: IkSettings
     family: Family
-    number: int
+    kinematics: IkSettings = IK_DEFAULT
 
 
-def driven(task: MachineTask) -> list[Drive]:
-    """A machine driven with all its noises."""
+def drive_machine(task: DriveTask, number: int) -> list[Drive]:
+    """Drive a machine, by its number from 0, once with each of its noises."""
     from tepm_opt.hw.simulation.family import random_machine
     from tepm_opt.hw.simulation.rig import SimulatedRig
 
-    found, file = [], random_machine(task.model.source, task.family.seed, task.number)
+    found, file = [], random_machine(task.model.source, task.family.seed, number)
     model = compile_model(task.model)
     reference = whole_reference(model, task.trajectory, task.course, task.kinematics)
     for noise in range(1, task.family.noises + 1):
@@ -193,35 +202,28 @@ def driven(task: MachineTask) -> list[Drive]:
         largest = float(error.max()) if len(error) else np.nan
         late = sum(loop.fallbacks.values())
         end = loop.outcome.ending.value
-        found.append(Drive(task.number, noise, loop.rms(true=True), largest, late, end, smallest(loop.steps)))
+        found.append(Drive(number, noise, loop.rms(true=True), largest, late, end, smallest(loop.steps)))
     return found
 
 
-def run_machines(
-    model: Model, trajectory: Trajectory, course: Course, setup: LoopSetup, family: Family, bound: float = BOUND,
-    kinematics: IkSettings = IK_DEFAULT, executor: Executor | None = None, progress: Progress = silent,
-) -> MachinesRun:  # fmt: skip
+def run_machines(task: DriveTask, bound: float = BOUND, executor: Executor | None = None, progress: Progress = silent) -> MachinesRun:
     """Drive random machines along a trajectory with a controller that knows the robot file alone.
 
     Args:
-        model: the controller's; the machines are around its robot file.
-        trajectory: targets.
-        course: how it is driven.
-        setup: which controller.
-        family: which machines.
+        task: controller, trajectory and machines.
         bound: error in m within which a run counts as good.
-        kinematics: settings of the inverse kinematics.
         executor: where machines run; processes of this machine where None. It has to import this package, and is left open.
         progress: told how many machines are done.
 
     Raises:
         InputError: a robot without a file, a target out of reach.
     """
-    if model.source not in builtin_robots() and not Path(model.source).is_file():
-        raise InputError(f"machines: robot {model.source!r} has no file to draw machines around; valid: a built-in robot or a robot file")
-    tasks = [MachineTask(model, trajectory, course, setup, kinematics, family, number) for number in range(family.machines)]
-    drives, interrupted = sweep(driven, tasks, executor, stage="machines", progress=progress)
-    return MachinesRun(setup, family, bound, tuple(drive for each in drives for drive in each), interrupted)
+    source, family = task.model.source, task.family
+    if source not in builtin_robots() and not Path(source).is_file():
+        raise InputError(f"machines: robot {source!r} has no file to draw machines around; valid: a built-in robot or a robot file")
+    numbers = range(family.machines)
+    drives, interrupted = sweep(partial(drive_machine, task), numbers, executor, stage="machines", progress=progress)
+    return MachinesRun(task.setup, family, bound, tuple(drive for each in drives for drive in each), interrupted)
 
 
 def _finite(value: float) -> float | None:

@@ -35,7 +35,7 @@ class Clock:
         self.passed = 0.0
         self._progress, self._of, self._stage = progress, of, ""
 
-    def begin(self, stage: str, passed: float) -> None:
+    def begin_experiment(self, stage: str, passed: float) -> None:
         """Begin an experiment at a time in s, whatever those before took."""
         self._stage = stage
         self.advance(passed - self.passed)
@@ -57,7 +57,7 @@ class Clock:
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """What all experiments start from.
+    """Model, prototype and repetitions that all experiments start from.
 
     Attributes:
         model: nominal, compiled.
@@ -75,7 +75,7 @@ class Setting:
 
     @property
     def repeated(self) -> str:
-        """How many runs there are, in words."""
+        """Number of runs, in words."""
         return f"{self.runs} run{'s' if self.runs > 1 else ''}"
 
     def prototype(self, noise: int) -> SimulatedRig:
@@ -136,5 +136,5 @@ def ramp(inputs: np.ndarray, rise: float, start: np.ndarray | None = None, force
 
 
 def middle(values: list[float]) -> int:
-    """Which of some runs has the middle value (of an even number the lower one)."""
+    """Find the index of the run with the middle value (of an even number the lower one)."""
     return int(np.argsort(values, kind="stable")[(len(values) - 1) // 2])

@@ -38,7 +38,7 @@ CALM = 0.3  # weight of the penalty on a size that is one typical size away from
 
 @dataclass(frozen=True)
 class Size:
-    """What is sought: prior mean, typical size and limits."""
+    """Prior of a size that is sought: mean, typical size and limits."""
 
     mean: float
     typical: float

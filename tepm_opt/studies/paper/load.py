@@ -55,8 +55,8 @@ def hysteresis(force: np.ndarray, angle: np.ndarray) -> tuple[float, float]:
     return float(np.abs(down - up).max() / bent.max()), float(abs(bent[-1]) / bent.max())
 
 
-def loaded(setting: Setting) -> ExperimentResult:
-    """Experiment of Fig. 10, both parts: bending under a force at the tip, and bending and return."""
+def run_load_experiment(setting: Setting) -> ExperimentResult:
+    """Run the experiment of Fig. 10, both parts: bending under a force at the tip, and bending and return."""
     nothing = np.zeros(setting.model.layout.inputs)
     at = solve_statics(setting.model, nothing, FORCE)
     runs = [settled_points(setting, nothing, noise, FORCE) for noise in range(1, setting.runs + 1)]

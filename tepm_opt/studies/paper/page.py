@@ -12,7 +12,7 @@ from tepm_opt.studies.paper.result import ExperimentResult
 
 
 def sizes(rig: RigFile) -> list[tuple[str, str]]:
-    """What makes the rig differ from its model, as text."""
+    """List differences of the rig from its model, as text."""
     found = [(f"true {name} over nominal", f"{factor:g}") for name, factor in rig.parameter_factors.items()]
     for name, imperfection in rig.imperfections.active.items():
         plain = type(imperfection)().model_dump()

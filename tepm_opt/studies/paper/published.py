@@ -61,7 +61,7 @@ PUBLISHED: dict[str, Published] = {
 }
 
 
-def within(key: str, value: float) -> bool:
+def is_reproduced(key: str, value: float) -> bool:
     """Whether our value is within 15 % of the published one."""
     published = PUBLISHED[key].value
     return abs(value - published) <= WITHIN * abs(published)

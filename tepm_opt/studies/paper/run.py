@@ -17,7 +17,7 @@ from tepm_opt.models.compile import compile_model
 from tepm_opt.progress import Progress, silent
 from tepm_opt.studies.paper import gains, load, shapes, single, tracking
 from tepm_opt.studies.paper.common import Clock, Setting
-from tepm_opt.studies.paper.published import PUBLISHED, within
+from tepm_opt.studies.paper.published import PUBLISHED, is_reproduced
 from tepm_opt.studies.paper.result import ExperimentResult
 
 QUICK_POINTS = 8  # of the circle
@@ -43,14 +43,14 @@ EXPERIMENTS: Mapping[str, Experiment] = {
     "fig7": Experiment(lambda setting, quick: shapes.elongation(setting), 0.0, 5.0, 5.0),
     "fig8": Experiment(lambda setting, quick: shapes.double_bend(setting), 0.0, 5.0, 5.0),
     "fig9": Experiment(lambda setting, quick: shapes.dynamic_bend(setting), 3.0, 3.0, 3.0),
-    "fig10": Experiment(lambda setting, quick: load.loaded(setting), 20.0, 5.0, 5.0),
+    "fig10": Experiment(lambda setting, quick: load.run_load_experiment(setting), 20.0, 5.0, 5.0),
     "fig11": Experiment(lambda setting, quick: gains.open_loop_gain(setting), 24.0, 0.0, 0.0),
     "fig12": Experiment(lambda setting, quick: tracking.tracking(setting, _points(quick)), 0.0, 198.0, 54.0),
 }
 
 
-def chosen(figures: Sequence[str]) -> list[str]:
-    """The experiments asked for in the paper's order; all where none is named.
+def select_experiments(figures: Sequence[str]) -> list[str]:
+    """Select the experiments asked for, in the paper's order; all where none is named.
 
     Raises:
         InputError: no such figure.
@@ -69,7 +69,7 @@ def seconds(name: str, runs: int, quick: bool) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """What was finished.
+    """Experiments that were finished.
 
     Attributes:
         setting: model and rig.
@@ -92,7 +92,7 @@ class Study:
             for key, value in result.numbers.items():
                 entry = PUBLISHED[key]
                 row = {"key": key, "figure": entry.figure, "text": entry.text, "unit": entry.unit, "published": entry.value}
-                rows.append({**row, "ours": value, "ratio": value / entry.value, "within": within(key, value)})
+                rows.append({**row, "ours": value, "ratio": value / entry.value, "within": is_reproduced(key, value)})
         return sorted(rows, key=lambda row: list(PUBLISHED).index(row["key"]))
 
     def summary(self) -> dict[str, Any]:
@@ -153,7 +153,7 @@ def run_study(
     Raises:
         InputError: no such figure, no such rig.
     """
-    names = chosen(figures)
+    names = select_experiments(figures)
     file = load_rig_file(rig)
     runs, begun = 1 if quick else 3, 0.0
     clock = Clock(progress, sum(seconds(name, runs, quick) for name in names))
@@ -161,7 +161,7 @@ def run_study(
     study = Study(setting, [], names, quick, True)
     try:
         for name in names:
-            clock.begin(name, begun)
+            clock.begin_experiment(name, begun)
             study = replace(study, results=[*study.results, EXPERIMENTS[name].run(setting, quick)])
             finished(study)
             begun += seconds(name, runs, quick)

@@ -29,7 +29,7 @@ def dynamic_bend_inputs(setting: Setting) -> np.ndarray:
 
 
 def settled_points(setting: Setting, inputs: np.ndarray, noise: int, force: np.ndarray | None = None) -> np.ndarray:
-    """Where the prototype ends after a ramp, (points, 3) in m: the mean over the last period of its sway.
+    """Find the prototype's points after a ramp, (points, 3) in m: the mean over the last period of its sway.
 
     Args:
         setting: what all experiments start from.

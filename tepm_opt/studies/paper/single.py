@@ -46,8 +46,8 @@ def stiffness(area: float, pressures: np.ndarray, lengths: np.ndarray) -> float:
     return float(1 / np.polyfit(area * pressures[used], lengths[used], 1)[0])
 
 
-def released(setting: Setting, noise: int) -> tuple[np.ndarray, np.ndarray]:
-    """Time in s and mean length in m after the tendon is let go (motor off), which changes the force at once: a regulator is too slow."""
+def release_tendon(setting: Setting, noise: int) -> tuple[np.ndarray, np.ndarray]:
+    """Release the tendon (motor off): a step of the force, for which regulators are too slow; return time in s and mean length in m."""
     rig = bench(setting, noise)
     rate = rig.file.tracker.rate_hz
     pressure, curves = np.array([ABOUT]), []
@@ -93,7 +93,7 @@ def identification(setting: Setting) -> ExperimentResult:
     pressures, lengths = staircase(setting, 1)
     area = setting.model.values["A"]
     stiff = stiffness(area, pressures, lengths)
-    time, length = released(setting, 1)
+    time, length = release_tendon(setting, 1)
     damped, fitted = damping(setting, stiff, time, length)
     grown = lengths - lengths[0]
     numbers = {"free_length": float(1e3 * grown.max()), "K_a": stiff, "c_v": damped}

@@ -66,8 +66,8 @@ def rounds(setting: Setting, wanted: list[LengthTarget]) -> dict[TendonUse, list
     return {use: [held for (of, _), held in zip(jobs, done, strict=True) if of is use] for use in TendonUse}
 
 
-def reached(held: HoldRecord, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Which samples are of the last second at a point, (samples,), and the mean tip at each point, (count, 3) in m."""
+def average_held_tips(held: HoldRecord, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Mark samples of the last second at a point, (samples,) of bool, and average the tip at each point, (count, 3) in m."""
     at_end = (held.target >= 0) & ((held.time - APPROACH) % STAY > STAY - TAKEN)
     tips = np.array([np.nanmean(held.points[at_end & (held.target == k), -1], axis=0) for k in range(count)])
     return at_end, tips
@@ -81,7 +81,7 @@ def tracking(setting: Setting, points: int = 32) -> ExperimentResult:
     for use, of_mode in rounds(setting, wanted).items():
         squares, tips, enabled = [], [], []
         for held in of_mode:
-            at_end, mean = reached(held, points)
+            at_end, mean = average_held_tips(held, points)
             missed = held.points[at_end, -1] - positions[held.target[at_end]]
             squares.append(np.nanmean((missed**2).sum(axis=1)))
             tips.append(mean)

@@ -22,6 +22,7 @@ from tepm_opt.studies.blind.foreign import FOREIGN
 from tepm_opt.studies.blind.judged import Judged
 from tepm_opt.studies.blind.run import BlindRun
 from tepm_opt.studies.blind.table import markdown
+from tepm_opt.studies.blind.trial import TrialSeries
 
 SECONDS = {"wall": 12.0, "cpu": 11.0, "making": 2.0}
 Hidden = tuple[str, str | None, float]
@@ -77,7 +78,7 @@ class TestOneTrial:
         both = [*GAIN, ("payload", None, 3.0)]
         less = judged("closed", both, "named", [("actuator_gain", "12", 0.97)])
         assert (less.right, less.abstained) == (False, True)
-        assert [less.found(cause) for cause in less.causes] == [True, False]
+        assert [less.lists_cause(cause) for cause in less.causes] == [True, False]
         assert judged("closed", GAIN, "named", [("actuator_gain", "12", 0.97), ("payload", None, 0.4)]).right
 
     def test_rivals_that_are_listed_count_with_their_probability(self) -> None:
@@ -90,7 +91,7 @@ class TestOneTrial:
         alike = {"tendon_slip": ["tension_gain"]}
         assert judged("closed", slipped, "named", [("tension_gain", "12", 0.97)], alike=alike).right
         assert judged("closed", slipped, "named", [("tendon_slip", "12", 0.97)], alike=alike).right
-        assert judged("closed", slipped, "named", [("tension_gain", "12", 0.97)], alike=alike).found({"names": ["tendon_slip"]})
+        assert judged("closed", slipped, "named", [("tension_gain", "12", 0.97)], alike=alike).lists_cause({"names": ["tendon_slip"]})
         assert not judged("closed", slipped, "named", [("tension_gain", "13", 0.97)], alike=alike).right
         assert judged("closed", slipped, "named", [("tension_gain", "12", 0.97)]).false_above(0.9)
 
@@ -222,7 +223,7 @@ def test_figures(tmp_path: Path) -> None:
     null = [result("null", [], "no_discrepancy", [])]
     names = {"rates", "detection", "reliability", "confusion"}
     for results, missing in (([*many, *null], set()), (null, {"detection", "reliability"}), ([], names)):
-        run = BlindRun(0, None, len(results), tuple(results))
+        run = BlindRun(TrialSeries(len(results)), tuple(results))
         run.save(tmp_path)
         assert set(studies.draw_blind_trials(run, tmp_path)) == names - missing
         assert {path.stem for path in tmp_path.glob("*.png")} == names - missing

@@ -11,9 +11,9 @@ from tepm_opt.data.run import Run
 from tepm_opt.models.robot import Robot, load_robot
 from tepm_opt.studies.blind.causes import LIBRARY, Cause
 from tepm_opt.studies.blind.excitation import excitations
-from tepm_opt.studies.blind.flaws import CLOCKS, POOR, corrected, mistaken, spoiled
+from tepm_opt.studies.blind.flaws import CLOCKS, POOR, add_feedback, mistaken, spoiled
 from tepm_opt.studies.blind.foreign import FOREIGN
-from tepm_opt.studies.blind.machine import Deviation, played, rig_file, together
+from tepm_opt.studies.blind.machine import Deviation, combine_deviations, played, rig_file
 from tepm_opt.studies.blind.sizes import UNBEARABLE, Pilot, simulated
 
 ROBOT = load_robot("kang2017")
@@ -26,7 +26,7 @@ def test_deviations_add() -> None:
     """Factors multiply, changes act one after the other."""
     double = Deviation(factors={"K_a": 2.0}, after=lambda time, points: 2 * points)
     more = Deviation({"payload": {"mass_kg": 0.1}}, {"K_a": 1.1, "r": 0.9}, after=lambda time, points: points + 1)
-    both = together([double, more])
+    both = combine_deviations([double, more])
     assert both.factors == {"K_a": pytest.approx(2.2), "r": 0.9}
     assert both.imperfections == {"payload": {"mass_kg": 0.1}}
     assert both.after is not None
@@ -50,7 +50,7 @@ def test_noise_comes_behind_what_acts_on_points() -> None:
 @pytest.mark.slow
 def test_a_misfit_is_what_recalibration_cannot_take() -> None:
     """A parameter within its prior leaves nothing, however it bends; one beyond it no more than what is beyond."""
-    pilot = Pilot.of(ROBOT, Deviation(), SHORT, NOISE)
+    pilot = Pilot.from_simulation(ROBOT, Deviation(), SHORT, NOISE)
     stiff = mistaken(ROBOT)["K_a"](np.random.default_rng(0))
 
     def apart(one: float, other: float) -> float:
@@ -81,7 +81,7 @@ def test_recalibration_ends_at_the_priors(monkeypatch: pytest.MonkeyPatch) -> No
 @pytest.mark.parametrize("table", [LIBRARY, FOREIGN, CLOCKS, mistaken(ROBOT)], ids=["library", "foreign", "clocks", "parameters"])
 def test_every_cause_can_be_hidden(table: Mapping[str, Cause]) -> None:
     """The machine bears it at a size that leaves three times the noise, or the nearest that its limits let it leave."""
-    pilot = Pilot.of(ROBOT, Deviation(), RUNS, NOISE)
+    pilot = Pilot.from_simulation(ROBOT, Deviation(), RUNS, NOISE)
     found: dict[str, float] = {}
     for key, cause in table.items():
         for seed in range(4):  # a wall may stand where the tip never comes
@@ -115,7 +115,7 @@ def test_a_controller_pushes_the_tip_back() -> None:
     run = SHORT[-1]
     goal = played(rig_file(ROBOT, Deviation(), 0.0), Deviation(), run, 0).points
     before = played(rig_file(ROBOT, leaning, 0.0), leaning, run, 0).points
-    held = corrected(run.setpoints, before, goal)
+    held = add_feedback(run.setpoints, before, goal)
     after = played(rig_file(ROBOT, leaning, 0.0), leaning, type(run)(run.file, run.role, held), 0).points
     off = [np.abs((points - goal)[100:, -1, 0]).mean() for points in (before, after)]
     assert off[0] > 1e-3

@@ -15,7 +15,7 @@ import pytest
 from tepm_opt.errors import InputError
 from tepm_opt.jobs.executors import cluster
 from tepm_opt.studies.blind.run import run_blind
-from tepm_opt.studies.blind.trial import Trial, make
+from tepm_opt.studies.blind.trial import Trial, TrialSeries, make
 
 distributed = pytest.importorskip("distributed", reason="Dask is not installed (extra cluster)")
 
@@ -40,7 +40,7 @@ def address() -> Iterator[str]:
 
 @pytest.mark.slow
 def test_a_lost_worker_does_not_change_the_numbers(tmp_path: Path, address: str) -> None:
-    here = run_blind(tmp_path / "here", 4, seed=5, jobs=2, examine=drawn)
+    here = run_blind(tmp_path / "here", TrialSeries(4, 5), jobs=2, examine=drawn)
     killed: list[int] = []
 
     def kill(stage: str, done: float, of: float) -> None:
@@ -50,7 +50,7 @@ def test_a_lost_worker_does_not_change_the_numbers(tmp_path: Path, address: str)
             os.kill(killed[0], 9)
 
     with cluster(address) as executor:
-        there = run_blind(tmp_path / "there", 4, seed=5, executor=executor, progress=kill, examine=drawn)
+        there = run_blind(tmp_path / "there", TrialSeries(4, 5), executor=executor, progress=kill, examine=drawn)
     assert killed
     assert there.ok
     assert there.results == here.results

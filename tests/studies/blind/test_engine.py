@@ -14,7 +14,7 @@ from tepm_opt.models.effects import effects
 from tepm_opt.models.robot import load_robot
 from tepm_opt.studies.blind.analysis import analysed
 from tepm_opt.studies.blind.engine_causes import KNOWN, OTHER_MEANING_IN_MUJOCO, UNKNOWN
-from tepm_opt.studies.blind.excitation import Excitation, drawn, excitations
+from tepm_opt.studies.blind.excitation import Excitation, draw_runs, excitations
 from tepm_opt.studies.blind.machine import Deviation, played, rig_file
 from tepm_opt.studies.blind.mujoco_world import simulate
 from tepm_opt.studies.blind.run import examined
@@ -40,7 +40,7 @@ def written(folder: Path) -> dict[str, bytes]:
 
 def test_a_trial_has_the_same_bytes_each_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tepm_opt.studies.blind.engine.SECONDS", (0.46, 0.46))
-    monkeypatch.setattr("tepm_opt.studies.blind.trial.drawn", lambda *args: drawn(*args)[::4])  # the first run and one to judge by
+    monkeypatch.setattr("tepm_opt.studies.blind.trial.draw_runs", lambda *args: draw_runs(*args)[::4])  # the first run and one to judge by
     trial = Trial.numbered(0, SHORT_NULL, "engine")
     for name in ("one", "two"):
         (tmp_path / name).mkdir()

@@ -13,7 +13,7 @@ import pytest
 
 from tepm_opt.errors import InputError
 from tepm_opt.studies.blind.run import DIED, RESULTS, read_results, run_blind
-from tepm_opt.studies.blind.trial import CYCLE, Trial, make
+from tepm_opt.studies.blind.trial import CYCLE, Trial, TrialSeries, make
 
 DEADLY, WRONG, INTERRUPTED = 2, 3, 4
 
@@ -47,7 +47,7 @@ def test_families_take_turns() -> None:
 
 @pytest.mark.slow
 def test_a_trial_that_kills_its_process_or_fails_is_a_result(tmp_path: Path) -> None:
-    run = run_blind(tmp_path, 6, seed=7, jobs=2, examine=dangerous)
+    run = run_blind(tmp_path, TrialSeries(6, 7), jobs=2, examine=dangerous)
     assert run.ok
     errors = {result["number"]: result["error"] for result in run.results}
     assert errors == dict.fromkeys((0, 1, 4, 5)) | {DEADLY: DIED, WRONG: "RuntimeError: no luck"}
@@ -58,19 +58,21 @@ def test_a_trial_that_kills_its_process_or_fails_is_a_result(tmp_path: Path) -> 
 def test_what_is_there_is_not_repeated(tmp_path: Path) -> None:
     path = tmp_path / RESULTS
     with ThreadPoolExecutor(1) as executor:
-        first = run_blind(tmp_path, 8, executor=executor, examine=interrupted)
+        first = run_blind(tmp_path, TrialSeries(8), executor=executor, examine=interrupted)
         assert not first.ok
         assert first.interrupted
         assert [result["number"] for result in first.results] == list(range(INTERRUPTED))
         kept = path.read_text(encoding="utf-8")
         path.write_text(kept + '{"family": "null", "se', encoding="utf-8")  # killed while it wrote
         told: list[float] = []
-        second = run_blind(tmp_path, 8, executor=executor, examine=answered, progress=lambda stage, done, of: told.append(done))
+        second = run_blind(
+            tmp_path, TrialSeries(8), executor=executor, examine=answered, progress=lambda stage, done, of: told.append(done)
+        )
     assert second.ok
     assert path.read_text(encoding="utf-8").startswith(kept)
     assert len(read_results(path)) == 8
     assert told == [4, 5, 6, 7, 8]
-    other = run_blind(tmp_path, 2, seed=1, jobs=1, examine=answered)
+    other = run_blind(tmp_path, TrialSeries(2, 1), jobs=1, examine=answered)
     assert [result["seed"] for result in other.results] == [1, 1]
     assert len(read_results(path)) == 10
 
@@ -78,7 +80,7 @@ def test_what_is_there_is_not_repeated(tmp_path: Path) -> None:
 def test_a_file_that_is_none_of_ours_is_refused(tmp_path: Path) -> None:
     (tmp_path / RESULTS).write_text('{"some": "thing"}\n', encoding="utf-8")
     with pytest.raises(InputError, match="line 1"):
-        run_blind(tmp_path, 1, examine=answered)
+        run_blind(tmp_path, TrialSeries(1), examine=answered)
 
 
 @pytest.mark.slow
@@ -92,7 +94,7 @@ def test_a_trial_depends_on_seed_number_and_family_alone() -> None:
 @pytest.mark.slow
 def test_nothing_is_found_where_nothing_is_hidden(tmp_path: Path) -> None:
     """The whole way, in two processes."""
-    run = run_blind(tmp_path, 2, seed=11, family="null", jobs=2)
+    run = run_blind(tmp_path, TrialSeries(2, 11, "null"), jobs=2)
     assert run.ok
     for result in run.results:
         assert result["error"] is None

@@ -20,7 +20,7 @@ from tepm_opt.models.model import Model
 from tepm_opt.models.robot import robot_text
 from tepm_opt.outcome import Ending
 from tepm_opt.solvers.trajectories import circle
-from tepm_opt.studies.machines.run import Drive, Family, MachinesRun, run_machines
+from tepm_opt.studies.machines.run import Drive, DriveTask, Family, MachinesRun, run_machines
 
 QUICK = Course(approach=2.0, pause=0.2, start_up=0.5)
 
@@ -70,10 +70,10 @@ class TestRun:
     @pytest.mark.slow
     def test_two_machines_with_two_noises(self, tmp_path) -> None:
         """A row each, the same whichever machines are asked for; table, summary and figure."""
-        task = (Model.from_robot("kang2017"), circle(100, duration=4.0), QUICK, LoopSetup("lqg"), Family(2, 2, 6))
+        task = DriveTask(Model.from_robot("kang2017"), circle(100, duration=4.0), QUICK, LoopSetup("lqg"), Family(2, 2, 6))
         with concurrent.futures.ThreadPoolExecutor(1) as executor:
-            run = run_machines(*task, executor=executor)
-            again = run_machines(*task[:4], Family(1, 2, 6), executor=executor)
+            run = run_machines(task, executor=executor)
+            again = run_machines(replace(task, family=Family(1, 2, 6)), executor=executor)
         assert run.ok
         assert [(drive.machine, drive.noise) for drive in run.drives] == [(0, 1), (0, 2), (1, 1), (1, 2)]
         assert again.drives == run.drives[:2]
@@ -97,7 +97,7 @@ class TestRun:
 
     def test_a_robot_without_a_file_is_refused(self) -> None:
         with pytest.raises(InputError, match="no file to draw machines around"):
-            run_machines(replace(Model.from_robot("kang2017"), source="mine.toml"), circle(10), QUICK, LoopSetup(), Family(1))
+            run_machines(DriveTask(replace(Model.from_robot("kang2017"), source="mine.toml"), circle(10), QUICK, LoopSetup(), Family(1)))
 
     @pytest.mark.parametrize("wrong", [(0, 1, 0), (1, 0, 0), (1, 1, -1)])
     def test_no_such_family(self, wrong: tuple[int, int, int]) -> None:

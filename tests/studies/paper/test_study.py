@@ -8,8 +8,8 @@ import pytest
 
 from tepm_opt.cli import run
 from tepm_opt.studies.paper.load import hysteresis
-from tepm_opt.studies.paper.published import PUBLISHED, within
-from tepm_opt.studies.paper.run import EXPERIMENTS, chosen
+from tepm_opt.studies.paper.published import PUBLISHED, is_reproduced
+from tepm_opt.studies.paper.run import EXPERIMENTS, select_experiments
 from tepm_opt.studies.paper.single import stiffness
 from tests.hw.rigs import AREA, LENGTH, STIFFNESS
 
@@ -20,13 +20,13 @@ def test_published_numbers_are_those_of_the_specification():
     assert values[:9] == [70.0, 358.86, 15.5, 1.85, 3.10, 2.67, 0.81, 0.93, 0.85]
     assert values[15:] == [5.32, 1.5, 7.4, 8.75, 2.8, 11.3, 20.1, 2.0, 2.0, 8.60, 65.0, 7.0, 5.41, 1.33, 9.77, 5.60]
     assert {entry.figure for entry in PUBLISHED.values()} == set(EXPERIMENTS)
-    assert within("fig7_rmse", 5.32 * 1.149)
-    assert not within("fig7_rmse", 5.32 * 0.849)
+    assert is_reproduced("fig7_rmse", 5.32 * 1.149)
+    assert not is_reproduced("fig7_rmse", 5.32 * 0.849)
 
 
 def test_order_and_names_of_experiments():
-    assert chosen(["fig9", "fig7"]) == ["fig7", "fig9"]
-    assert chosen([]) == list(EXPERIMENTS)
+    assert select_experiments(["fig9", "fig7"]) == ["fig7", "fig9"]
+    assert select_experiments([]) == list(EXPERIMENTS)
     assert run(["study", "paper", "--figure", "fig5"]) == 2
 
 
