@@ -14,12 +14,13 @@ import numpy as np
 
 from tepm_opt.data.outliers import without_strays
 from tepm_opt.discrepancy.assessment.calibration import calibrate_judgement
-from tepm_opt.discrepancy.assessment.constancy import SegmentSizes, effect_size_by_segment
+from tepm_opt.discrepancy.assessment.constancy import SegmentSizes, active_runs, effect_size_by_segment
 from tepm_opt.discrepancy.assessment.credibility import Judgement, alternative_law_odds
 from tepm_opt.discrepancy.assessment.credibility import assess as assess_effects
-from tepm_opt.discrepancy.assessment.result import VerdictStatus
+from tepm_opt.discrepancy.assessment.result import Errors, VerdictStatus, reduces_validation_error
+from tepm_opt.discrepancy.assessment.settings import DEFAULT as ASSESSMENT
 from tepm_opt.discrepancy.assessment.stated_set import score_causes
-from tepm_opt.discrepancy.assessment.validation import compare_models, predict_runs, validation_errors
+from tepm_opt.discrepancy.assessment.validation import Comparison, compare_models, predict_runs, validation_errors
 from tepm_opt.discrepancy.baseline.baseline import Baseline
 from tepm_opt.discrepancy.baseline.judgement import judge_change
 from tepm_opt.discrepancy.preparation.clock import check_clock
@@ -32,7 +33,7 @@ from tepm_opt.discrepancy.preparation.measured_inputs import (
 )
 from tepm_opt.discrepancy.preparation.noise import describe_noise, estimate_noise
 from tepm_opt.discrepancy.preparation.time_step import choose_time_step
-from tepm_opt.discrepancy.problem.plant import Candidate
+from tepm_opt.discrepancy.problem.plant import Candidate, restrict_effects_to_runs, without_run_restriction
 from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.problem.time_limit import TimeLimit
 from tepm_opt.discrepancy.reporting.report import build_verdict
@@ -126,7 +127,9 @@ def validate(state: Selected) -> Validated:
     state.progress("judging on validation runs", 0, 0)
     dataset, noise = state.dataset, state.noise
     compared = compare_models(state.fits, state.explanation, dataset, state.plant, state.nominal, noise, state.seed)
-    predictions = compared.predictions
+    predictions, errors = compared.predictions, validation_errors(dataset, noise, compared.predictions, compared.black_box)
+    if state.explanation.best.effects and dataset.validation and not reduces_validation_error(errors):
+        predictions, errors = _leave_out_absent(state, compared, errors)
     shift = None if state.plant.static else check_clock(dataset.runs, predictions["recalibrated"], predictions["corrected"], noise)
     return Validated(
         **vars(state),
@@ -134,9 +137,25 @@ def validate(state: Selected) -> Validated:
         black_box=compared.black_box,
         localisation=compared.localisation,
         best=compared.best,
-        errors=validation_errors(dataset, noise, predictions, compared.black_box),
+        errors=errors,
         clock_shift=shift,
     )
+
+
+def _leave_out_absent(state: Selected, compared: Comparison, errors: Errors) -> tuple[dict[str, list[np.ndarray]], Errors]:
+    """Predictions and errors with effects left out of validation runs that do not show them, where that closes the gap; else as they were.
+
+    What hung on the arm may have been taken off before those runs: then its model is right, but without it there.
+    """
+    dataset, noise, effects = state.dataset, state.noise, state.explanation.best.effects
+    acts = [replace(effect, runs=active_runs(effect, compared.best, dataset, noise)) for effect in effects]
+    if all(one.runs == other.runs for one, other in zip(acts, effects, strict=True)):
+        return compared.predictions, errors
+    plant = restrict_effects_to_runs(without_run_restriction(compared.best.plant), acts)
+    predictions = compared.predictions | {"corrected": predict_runs(plant, dataset, noise)}
+    found = validation_errors(dataset, noise, predictions, compared.black_box)
+    demand = replace(ASSESSMENT, min_gap_closed=ASSESSMENT.min_gap_closed_absent)
+    return (predictions, found) if reduces_validation_error(found, demand) else (compared.predictions, errors)
 
 
 def assess(state: Validated) -> Assessed:
