@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from tepm_opt.data.documents import Number, Section, require_range
 
@@ -14,6 +14,16 @@ COUNTS_PER_V = 32768 / 5
 Point = Annotated[tuple[Number, Number, Number], Field(description="three numbers in m")]
 Each = Number | tuple[Number, ...]
 """One number for all actuators, or a list with one for each."""
+
+
+def _require_scalar(value: object) -> object:
+    if not isinstance(value, bool | int | float | str):
+        raise ValueError("not an option; valid: text, a number, true or false")
+    return value
+
+
+Option = Annotated[bool | int | float | str, BeforeValidator(_require_scalar)]
+"""A value of `[hardware.tracker.options]`, whose kind of tracker says which there are."""
 
 
 def each_between(low: float, high: float, unit: str) -> AfterValidator:
@@ -63,7 +73,7 @@ class TrackerLink(Section):
     """
 
     kind: Annotated[str, Field(min_length=1)] = "openigtlink"
-    options: Annotated[dict[str, bool | int | float | str], Field(default_factory=dict)]
+    options: Annotated[dict[str, Option], Field(default_factory=dict)]
     """Options of this kind of tracker."""
     host: Annotated[str, Field(min_length=1)] = "127.0.0.1"
     port: Annotated[int, Field(strict=True, ge=1, le=65535, description="1 … 65535")] = 18944

@@ -269,6 +269,7 @@ class TestTracker:
         with PlusServer(rate=100.0) as server:
             found = made(robot=self.robot(tmp_path, server.port), find=list)
         assert found["tracker"].mark is Mark.RIGHT
+        assert found["tracker"].says.endswith(f":{server.port} sends {', '.join(DEVICES)}.")
         assert found["tracker's sensors"].says.startswith("s1, s2, s3, s4 are seen, poses are ")
 
     @pytest.mark.slow

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
 from tepm_opt.errors import InputError
@@ -141,6 +142,11 @@ def test_a_wrong_option_is_refused() -> None:
     link = TrackerLink(kind="ros2", devices=("/tip",), options={"type": "Odometry"})
     with pytest.raises(InputError, match=r"type.*PoseStamped"):
         open_link(link)
+
+
+def test_an_option_is_no_list() -> None:
+    with pytest.raises(ValidationError, match="not an option; valid: text, a number, true or false"):
+        TrackerLink.model_validate({"kind": "ros2", "devices": ["/tip"], "options": {"type": ["PoseStamped"]}})
 
 
 def test_a_package_that_is_missing() -> None:

@@ -254,7 +254,7 @@ class Commissioning:
 
     def _tracker(self) -> Iterator[Check]:
         name = "tracker"
-        if self._found is None or (link := tracker_link(self._found)) is None:
+        if self._found is None or tracker_link(self._found) is None:
             why = "the robot file names none, so positions are not measured" if self._found else "needs a robot file with [hardware]"
             yield not_yet(name, f"{why}.", "give devices in [hardware.tracker] of the robot file" if self._found else "")
             return
@@ -264,9 +264,9 @@ class Commissioning:
             return
         try:
             tracker.first()
-            yield right(name, f"{link.host}:{link.port} sends {', '.join(link.devices)}.")
+            yield right(name, f"{tracker.place} sends {', '.join(tracker.link.devices)}.")
             yield checks.sensors(tracker, Layout.from_robot(self._found).point_names)
         except InputError as error:
-            yield wrong(name, f"{error}.", "start PlusServer, see that its devices have these names, and that no firewall is between")
+            yield wrong(name, f"{error}.", "see that the tracker runs, that its devices have these names, and that no firewall is between")
         finally:
             tracker.close()

@@ -107,6 +107,11 @@ class LiveTracker:
                     return frame
                 self._arrived.wait(end - now)
 
+    @property
+    def place(self) -> str:
+        """Camera, serial port, or host and port, for messages."""
+        return self.kind.place(self.link) or f"{self.link.host}:{self.link.port}"
+
     def first(self, timeout: float = 5.0) -> Frame:
         """Wait for the first frame, at most `timeout` in s.
 
@@ -120,12 +125,12 @@ class LiveTracker:
                 return frame
         with self._arrived:
             seen = sorted(self._frames.seen)
-        place, trouble = self.kind.place(self.link), self._receiver.trouble
-        where = f"tracker at {place or f'{self.link.host}:{self.link.port}'}"
+        named, trouble = self.kind.place(self.link), self._receiver.trouble
+        where = f"tracker at {self.place}"
         if not self._receiver.connections:
             why = f" ({trouble})" if trouble else ""
-            valid = self.kind.server if place else f"host and port of {self.kind.server}"
-            raise InputError(f"{where}: nothing {'is' if place else 'listens'} there{why}; valid: {valid}")
+            valid = self.kind.server if named else f"host and port of {self.kind.server}"
+            raise InputError(f"{where}: nothing {'is' if named else 'listens'} there{why}; valid: {valid}")
         if missing := [name for name in self.link.devices if name not in seen]:
             ended = f"; the connection ended: {trouble}" if trouble else ""
             heard = ", ".join(seen) or "none is sent"
