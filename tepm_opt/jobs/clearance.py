@@ -1,4 +1,4 @@
-"""How near a closed loop came to obstacles, and how far from a path with free progress: columns of its log, numbers of its summary."""
+"""Distances of a closed loop from obstacles and from a path with free progress: columns of its log, numbers of its summary."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def smallest(steps: Mapping[str, np.ndarray]) -> float:
     return float(np.nanmin(values)) if np.isfinite(values).any() else math.inf
 
 
-def touched(steps: Mapping[str, np.ndarray], time: np.ndarray) -> dict[str, tuple[float, str]]:
-    """The doubt that a person is told where the arm was inside an obstacle, with when it first was, in s.
+def find_contacts(steps: Mapping[str, np.ndarray], time: np.ndarray) -> dict[str, tuple[float, str]]:
+    """Find where the arm was inside an obstacle: the doubt that a person is told, with when it first was, in s.
 
     Args:
         steps: columns of the log.

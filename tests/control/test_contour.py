@@ -10,7 +10,7 @@ import pytest
 from tepm_opt.control.loop import close_loop
 from tepm_opt.control.mpc.controller import Mpc
 from tepm_opt.control.references.path_following import FINE, FreeReference, contour_errors
-from tepm_opt.control.references.time_optimal import PaceSettings, retimed
+from tepm_opt.control.references.time_optimal import PaceSettings, retime
 from tepm_opt.errors import InputError
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.jobs.closed_loop import ClosedLoop, LoopSetup
@@ -31,28 +31,28 @@ def lap(path: Trajectory) -> float:
 class TestTiming:
     def test_a_circle_is_as_fast_as_its_curvature_allows(self, kang: CompiledModel) -> None:
         """v²/r = ω² δ, with the softest mode of the arm along the path; twice the sway is 1/√2 of the time."""
-        path = retimed(kang, circle(200), PaceSettings(sway=0.004))
+        path = retime(kang, circle(200), PaceSettings(sway=0.004))
         speed = 2 * np.pi * 0.150 / lap(path)
         soft = speed**2 / 0.150 / 0.004
         rest = modal_model(solve_statics(kang, np.zeros(12))).stiffness[0]
         assert 0.3 * rest < soft < 1.5 * rest
-        assert lap(retimed(kang, circle(200), PaceSettings(sway=0.008))) == pytest.approx(lap(path) / np.sqrt(2), rel=1e-3)
+        assert lap(retime(kang, circle(200), PaceSettings(sway=0.008))) == pytest.approx(lap(path) / np.sqrt(2), rel=1e-3)
 
     def test_actuators_limit_where_inertia_does_not(self, kang: CompiledModel) -> None:
         """Twice what they may do is half the time, where the speed itself has no limit."""
         wild = PaceSettings(sway=100.0, fastest=100.0, reserve=0.8)
-        slow, fast = (retimed(kang, circle(200), replace(wild, reserve=reserve)) for reserve in (0.8, 0.6))
+        slow, fast = (retime(kang, circle(200), replace(wild, reserve=reserve)) for reserve in (0.8, 0.6))
         assert lap(slow) == pytest.approx(2 * lap(fast), rel=1e-6)
 
     def test_it_slows_where_the_path_bends_and_forgets_the_time_it_had(self, kang: CompiledModel) -> None:
-        path = retimed(kang, lissajous(300, duration=6.0))
-        again = retimed(kang, lissajous(300, duration=60.0))
+        path = retime(kang, lissajous(300, duration=6.0))
+        again = retime(kang, lissajous(300, duration=60.0))
         np.testing.assert_allclose(path.time, again.time)
         speed = np.linalg.norm(np.diff(path.positions, axis=0), axis=1) / np.diff(path.time)
         assert speed.max() > 2 * speed.min()
 
     def test_an_open_path_begins_and_ends_slowly(self, kang: CompiledModel) -> None:
-        path = retimed(kang, line(40))
+        path = retime(kang, line(40))
         speed = np.linalg.norm(np.diff(path.positions, axis=0), axis=1) / np.diff(path.time)
         assert not path.closed
         assert max(speed[0], speed[-1]) < 0.3 * speed.max()
@@ -61,7 +61,7 @@ class TestTiming:
     def test_no_path(self, kang: CompiledModel) -> None:
         same = Trajectory(np.arange(3.0), np.array([[0.1, 0, 0.35]] * 3))
         with pytest.raises(InputError, match="valid: at least 3"):
-            retimed(kang, same)
+            retime(kang, same)
 
 
 class TestClock:

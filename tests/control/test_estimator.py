@@ -370,7 +370,7 @@ def test_discretisation_is_exact_for_forces_linear_in_a_period(here):
 
 def test_doubled_is_two_periods(here):
     """Of forces linear over both, and as discretised anew with twice the period."""
-    two = here.doubled()
+    two = here.double_period()
     assert two.period == 2 * here.period
     for found, wanted in zip((two.A, two.start, two.end), first_order_hold(here, 2 * PERIOD), strict=True):
         np.testing.assert_allclose(found, wanted, rtol=1e-7, atol=1e-9 * np.abs(wanted).max())

@@ -10,7 +10,7 @@ import pytest
 
 from tepm_opt.control.diagnostics.causes import BODY, MOTOR, REGULATOR, Weighed, causes
 from tepm_opt.control.diagnostics.change_detection import Coloured, Left, Sums
-from tepm_opt.control.diagnostics.monitor import DEFAULT, EVIDENCE, Watched, watched
+from tepm_opt.control.diagnostics.monitor import DEFAULT, EVIDENCE, Watched, attach_monitor
 from tepm_opt.control.diagnostics.signatures import BLOCK, Signatures
 from tepm_opt.control.loop import LoopRecord, close_loop
 from tepm_opt.control.mpc.controller import Mpc
@@ -73,7 +73,7 @@ def test_whitened_rows_are_those_of_the_covariance(places: np.ndarray) -> None:
     filtered = Coloured(np.array([0.7]), np.array([3.0]), 1, 2, 1.0)
     own = np.array([[0.25]])
     found = np.array(
-        [filtered.whitened(row, np.eye(1), np.array([[0.09]]), int(k), own, 0 * own) for row, k in zip(rows, places, strict=True)]
+        [filtered.whiten(row, np.eye(1), np.array([[0.09]]), int(k), own, 0 * own) for row, k in zip(rows, places, strict=True)]
     )[:, 0]
     if (places == places[0]).all():
         assert found == pytest.approx(whole)
@@ -134,7 +134,7 @@ def quick() -> Reference:
 
 def watch(reference: Reference, kind: str, at: float, seed: int = 1) -> tuple[LoopRecord, Watched]:
     """The circle on a random machine to which something happens; the monitor learns for 8 s alone, as the runs are short."""
-    controller = watched(Mpc(model(), reference), model(), replace(DEFAULT, learns=8.0))
+    controller = attach_monitor(Mpc(model(), reference), model(), replace(DEFAULT, learns=8.0))
     assert isinstance(controller, Watched)
     change = change_of(kind, np.random.default_rng(seed)) if kind else None
     return close_loop(Changing(random_machine("kang2017", 71001, 2), change, at, seed), controller, model().robot), controller
@@ -169,7 +169,7 @@ def test_places_that_are_new_tell_of_no_change() -> None:
     """Thirty-two stops on the virtual prototype, none of them twice: how it differs there from its model is news, not a change."""
     stops, *_ = point_by_point(circle(32).positions, 1.0, 3.0, 1.0)
     reference = reference_of(model(), np.vstack([approach(model(), stops[0], APPROACH), stops]))
-    controller = watched(Mpc(model(), reference), model())
+    controller = attach_monitor(Mpc(model(), reference), model())
     assert isinstance(controller, Watched)
     rig = SimulatedRig()
     rig.reseed(0)

@@ -58,7 +58,7 @@ def written_out(
     Args:
         path: modal coordinates of the reference at stages −1, 0, 1, …
     """
-    model, two = operating.model, operating.doubled()
+    model, two = operating.model, operating.double_period()
     deviations = np.vstack([begin, plan])
     state, cost = forecast.horizon.free[0], 0.0
     aim = model.static(forecast.horizon.rest_force)
@@ -96,7 +96,7 @@ def test_cost_is_the_sum_over_the_stages(short, operating, still):
 
 def riccati(operating: Operating) -> np.ndarray:
     """Value of the problem without limits about a point, by scipy."""
-    model, two = operating.model, operating.doubled()
+    model, two = operating.model, operating.double_period()
     A, B = np.eye(26), np.vstack([two.end @ model.drive, np.eye(6)])
     A[:20, :20], A[:20, 20:] = two.A, (two.start + two.end) @ model.drive
     cost = np.zeros((26, 26))

@@ -281,7 +281,7 @@ def test_at_its_null_values_it_vanishes(null, kang, operating):
         found, plain = solve_statics(null, u, force), solve_statics(kang, u, force)
         assert abs(observed(found) - observed(plain)).max() < 1e-12
         G, G_plain = solve_gain(found), solve_gain(plain)
-        assert relative(G.normalised(), G_plain.normalised()) < 1e-10
+        assert relative(G.normalise(), G_plain.normalise()) < 1e-10
         assert relative(G.by_load, G_plain.by_load) < 1e-10
 
 

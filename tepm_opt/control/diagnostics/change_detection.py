@@ -35,10 +35,8 @@ class Coloured:
         self._place, self._own = -1, slice(0, outputs)
         self._known: dict[int, tuple[np.ndarray, np.ndarray]] = {}
 
-    def whitened(
-        self, rows: np.ndarray, seen: np.ndarray, white: np.ndarray, place: int, prior: np.ndarray, again: np.ndarray
-    ) -> np.ndarray:
-        """Independent rows of unit variance, for rows of measurements and regressors.
+    def whiten(self, rows: np.ndarray, seen: np.ndarray, white: np.ndarray, place: int, prior: np.ndarray, again: np.ndarray) -> np.ndarray:
+        """Whiten rows of measurements and regressors: independent rows of unit variance.
 
         Args:
             rows: (outputs, columns).

@@ -171,7 +171,7 @@ class Monitor:
         own = settings.place_force**2 * pulled + settings.place_points**2 * np.eye(outputs)
         seen = np.hstack([rows.gain, np.eye(outputs)])
         place, learning = self._place(rows.place), not self._times
-        whitened = self._coloured.whitened(rows.points, seen, white, place, own, settings.again_force**2 * pulled)
+        whitened = self._coloured.whiten(rows.points, seen, white, place, own, settings.again_force**2 * pulled)
         if learning or not self._new:
             self._sums[BODY].add(whitened[None])
         if (rise := rows.pressures) is not None:
@@ -264,8 +264,8 @@ class Watched:
             self._fresh = None
 
 
-def watched(controller: Controller, model: CompiledModel, settings: MonitorSettings = DEFAULT) -> Controller:
-    """A controller with a monitor beside it; the controller itself where its reference does not go by time alone or the arm is guided."""
+def attach_monitor(controller: Controller, model: CompiledModel, settings: MonitorSettings = DEFAULT) -> Controller:
+    """Attach a monitor to a controller; not where its reference does not go by time alone or the arm is guided."""
     reference = controller.reference
     if type(reference) is not Reference or model.layout.guided:
         return controller

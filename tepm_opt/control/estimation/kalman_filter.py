@@ -136,8 +136,8 @@ class Operating:
     def __repr__(self) -> str:
         return f"Operating(modes={len(self.model.stiffness)}, period={self.period:g} s)"
 
-    def doubled(self) -> Operating:
-        """The same model over two periods."""
+    def double_period(self) -> Operating:
+        """Discretise the same model over two periods."""
         start = self.A @ (self.start + self.end / 2) + self.start / 2
         end = self.A @ (self.end / 2) + self.start / 2 + self.end
         return replace(self, A=self.A @ self.A, start=start, end=end, period=2 * self.period)

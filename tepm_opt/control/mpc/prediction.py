@@ -86,7 +86,7 @@ class Horizon:
             reference: what is followed.
             rows: rows of the reference at stages −1, 0, 1, …, (stages + 3,) or more.
         """
-        model, two = operating.model, operating.doubled()
+        model, two = operating.model, operating.double_period()
         path = (reference.levels[rows] - model.levels) @ model.weights.T
         rate = (path[2:] - path[:-2]) / (2 * two.period)
         way = np.diff(reference.tips[rows[1 : self.stages + 2]], axis=0)

@@ -72,7 +72,7 @@ class PythonStep:
 
     def prepare(self) -> None:
         """See `ControlStep`."""
-        self._ready = self._prepared(self._state.row + (self.last is not None))
+        self._ready = self._prepare(self._state.row + (self.last is not None))
 
     def feedback(self, sample: Sample, deadline: float) -> Command:
         """See `ControlStep`."""
@@ -80,7 +80,7 @@ class PythonStep:
         row = max(state.sent.take_time(sample.time), state.row)
         ready = self._ready
         if ready is None or (ready.row, ready.ahead) != (row, self.ahead):
-            ready = self._prepared(row)
+            ready = self._prepare(row)
         self._ready, state.taken = None, sample
         passed, state.row = row - state.row, row
         state.estimator, state.actuators = ready.estimator, ready.actuators
@@ -115,7 +115,7 @@ class PythonStep:
             state.late, state.quicker = state.sent.late + state.actuators.late, state.actuators.lags.quicker
             state.taken = None
 
-    def _prepared(self, row: int) -> Prepared:
+    def _prepare(self, row: int) -> Prepared:
         """The preparation for a sample at a row of the reference."""
         self._note()
         state, reference, settings = self._state, self._setup.reference, self._setup.filter

@@ -37,7 +37,9 @@ class OperatingPoints:
         at, found = self._found.get(row % self._kept, (-1, None))
         if found is None or at != row:
             self._newest = modal_model(reference.equilibria[row], self._newest)
-            found = Operating.from_modal_model(self._newest.damped(self._setup.controller.damping), reference.forces[row], reference.period)
+            found = Operating.from_modal_model(
+                self._newest.scale_damping(self._setup.controller.damping), reference.forces[row], reference.period
+            )
             self._found[row % self._kept] = row, found
         return found
 

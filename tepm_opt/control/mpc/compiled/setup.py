@@ -95,7 +95,7 @@ class StepSetup:
         ahead = int(max(np.ceil(late / period - 1e-9), np.ceil((late + computing) / period - SLACK)))
         noise = max((tracker.noise_rms_m if tracker else 1e-3) / np.sqrt(3), 1e-6)
         first = _first_command(model, reference.forces[0], settings)
-        start = modal_model(reference.equilibria[0]).damped(settings.damping)
+        start = modal_model(reference.equilibria[0]).scale_damping(settings.damping)
         believed = settings.filter or replace(FilterSettings(), **model.model.filter)
         filtering = believed.with_friction_prior(model.tendon_friction, settings.mid_range * float(tension_max[0]))
         planner = PressurePlanner(pressure_max, robot.actuation.pressure_step, settings.pressure_planner)

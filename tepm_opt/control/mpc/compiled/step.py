@@ -146,7 +146,7 @@ class CompiledStep:
         count, modes = sizes.actuators, 2 * sizes.modes
         unknown, strength, friction, hysteresis = get["state"][modes : modes + 4 * count].reshape(4, count)
         estimate = StateEstimate(
-            self._operating(int(one["row"])), get["state"][:modes], unknown, strength, friction, get["direction"], hysteresis,
+            self._read_operating_point(int(one["row"])), get["state"][:modes], unknown, strength, friction, get["direction"], hysteresis,
             get["turning"], get["deviation"], get["state"][modes + 4 * count :].reshape(-1, 3), get["points"].reshape(-1, 3), one["nis"],
             int(one["seen"]), get["refused"].astype(bool),
         )  # fmt: skip
@@ -155,7 +155,7 @@ class CompiledStep:
             OUTCOMES[int(one["status"])], int(one["iterations"]), (one["seconds"], float("nan")),
         )  # fmt: skip
 
-    def _operating(self, row: int) -> Operating:
+    def _read_operating_point(self, row: int) -> Operating:
         """The operating point of the last estimate."""
         sizes = self._setup.sizes
         modes, outputs, reference = sizes.modes, 3 * sizes.points, self._setup.reference
