@@ -8,8 +8,8 @@ import numpy as np
 
 from tepm_opt.control.collision.elastic_band import detour
 from tepm_opt.control.collision.geometry import Obstacles
-from tepm_opt.control.collision.model import KeepOut
-from tepm_opt.control.references.path_following import FINE, FreeReference
+from tepm_opt.control.collision.model import CollisionModel
+from tepm_opt.control.references.path_following import FINE, PathFollowingReference
 from tepm_opt.control.references.reference import PERIOD, START_UP, Reference, approach, point_by_point, reference_of, sample_tips
 from tepm_opt.control.references.time_optimal import PaceSettings, retime
 from tepm_opt.errors import InputError
@@ -97,8 +97,8 @@ def whole_reference(
     found = reference_of(model, tips, counted, point, kinematics=kinematics, progress=progress)
     if course.pace is not None:
         parts = {each.name: getattr(found, each.name) for each in fields(found)}
-        found = FreeReference(**parts, pace=course.pace)
-    return found if course.keep_out is None else detour(model, found, KeepOut(model, course.keep_out), progress)
+        found = PathFollowingReference(**parts, pace=course.pace)
+    return found if course.keep_out is None else detour(model, found, CollisionModel(model, course.keep_out), progress)
 
 
 def _rests(trajectory: Trajectory) -> bool:

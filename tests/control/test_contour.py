@@ -9,7 +9,7 @@ import pytest
 
 from tepm_opt.control.loop import close_loop
 from tepm_opt.control.mpc.controller import Mpc
-from tepm_opt.control.references.path_following import FINE, FreeReference, contour_errors
+from tepm_opt.control.references.path_following import FINE, PathFollowingReference, contour_errors
 from tepm_opt.control.references.time_optimal import PaceSettings, retime
 from tepm_opt.errors import InputError
 from tepm_opt.hw.simulation.rig import SimulatedRig
@@ -66,16 +66,16 @@ class TestTiming:
 
 class TestClock:
     @pytest.fixture
-    def reference(self) -> FreeReference:
+    def reference(self) -> PathFollowingReference:
         tips = np.linspace(0, 1, 801)[:, None] * np.array([1.0, 0.0, 0.0])
-        return FreeReference(tips, np.zeros((801, 6)), [], np.ones(801, dtype=bool), np.zeros(801, dtype=int))
+        return PathFollowingReference(tips, np.zeros((801, 6)), [], np.ones(801, dtype=bool), np.zeros(801, dtype=int))
 
-    def test_runs_at_full_speed_by_itself(self, reference: FreeReference) -> None:
+    def test_runs_at_full_speed_by_itself(self, reference: PathFollowingReference) -> None:
         np.testing.assert_array_equal(reference.rows_at(np.array([-3, 0, 1, 10, 1000])), [0, 0, FINE, 10 * FINE, 800])
         assert not reference.is_over(100)
         assert reference.is_over(101)
 
-    def test_slows_with_errors_and_never_goes_back(self, reference: FreeReference) -> None:
+    def test_slows_with_errors_and_never_goes_back(self, reference: PathFollowingReference) -> None:
         clock, rows = reference.rewind(), []
         for period in range(100):
             clock.govern(period + 3, np.array([0.1 if period >= 50 else 0.0]))
@@ -86,7 +86,7 @@ class TestClock:
         assert steps[-5:].mean() == pytest.approx(PaceSettings().slowest * FINE, abs=0.5)
         assert reference.clock.passed == [0.0], "another clock of the same path begins at its start"
 
-    def test_what_is_decided_stays(self, reference: FreeReference) -> None:
+    def test_what_is_decided_stays(self, reference: PathFollowingReference) -> None:
         clock = reference.rewind()
         clock.govern(5, np.zeros(1))
         before = clock.rows_at(np.arange(6))
@@ -94,7 +94,7 @@ class TestClock:
         np.testing.assert_array_equal(clock.rows_at(np.arange(6)), before)
         assert clock.rows_at(20) < 20 * FINE
 
-    def test_distance_from_the_path_knows_no_lag(self, reference: FreeReference) -> None:
+    def test_distance_from_the_path_knows_no_lag(self, reference: PathFollowingReference) -> None:
         tips = np.array([[0.30, 0.003, 0.004], [0.50, 0.0, 0.0]])
         np.testing.assert_allclose(contour_errors(reference, np.array([250, 380]), tips), [0.005, 0.0], atol=1e-12)
 

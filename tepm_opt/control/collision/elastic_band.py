@@ -15,7 +15,7 @@ import numpy as np
 import scipy.linalg as sla
 from scipy.interpolate import CubicSpline
 
-from tepm_opt.control.collision.model import KeepOut
+from tepm_opt.control.collision.model import CollisionModel
 from tepm_opt.control.references.reference import Reference
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel
@@ -44,7 +44,7 @@ class _Sensed:
     room: np.ndarray
 
 
-def detour(model: CompiledModel, reference: Reference, keep_out: KeepOut, progress: Progress = silent) -> Reference:
+def detour(model: CompiledModel, reference: Reference, keep_out: CollisionModel, progress: Progress = silent) -> Reference:
     """The reference with every watched point out of the margins, its tips moved as little and as smoothly as that allows.
 
     Args:
@@ -96,7 +96,7 @@ def _stretches(touches: np.ndarray, reach: int) -> Iterator[slice]:
 class _Band:
     """One stretch of a reference that is led round obstacles, at knots `SPACING` apart; its ends join what is before and after."""
 
-    def __init__(self, model: CompiledModel, keep_out: KeepOut, reference: Reference, stretch: slice) -> None:
+    def __init__(self, model: CompiledModel, keep_out: CollisionModel, reference: Reference, stretch: slice) -> None:
         self._model, self._keep_out, self._period = model, keep_out, reference.step
         self._stretch, self._free = stretch, (stretch.start == 0, stretch.stop == len(reference))
         apart = max(1, round(SPACING / reference.step))

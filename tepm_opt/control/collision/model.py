@@ -39,7 +39,7 @@ class Nearest:
 
 
 @dataclass(frozen=True, eq=False)
-class KeepOut:
+class CollisionModel:
     """Obstacles beside a model's arm.
 
     Attributes:

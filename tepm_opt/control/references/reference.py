@@ -19,7 +19,7 @@ from tepm_opt.solvers.statics import Equilibrium, solve_statics
 from tepm_opt.solvers.trajectories import Trajectory
 
 if TYPE_CHECKING:
-    from tepm_opt.control.collision.model import KeepOut
+    from tepm_opt.control.collision.model import CollisionModel
 
 PERIOD = 0.01  # s, of control
 IK_DEFAULT = IkSettings()
@@ -49,7 +49,7 @@ class Reference:
     point: np.ndarray
     period: float = PERIOD
     wanted: np.ndarray | None = None
-    keep_out: KeepOut | None = None
+    keep_out: CollisionModel | None = None
     moved: np.ndarray | None = None
 
     @property

@@ -31,7 +31,7 @@ from tepm_opt.control.estimation.kalman_filter import FilterSettings
 from tepm_opt.control.mpc.compiled.layout import Sizes
 from tepm_opt.control.mpc.prediction import NOTHING, RIDGE
 from tepm_opt.control.mpc.settings import MpcSettings, Use
-from tepm_opt.control.references.path_following import FreeReference
+from tepm_opt.control.references.path_following import PathFollowingReference
 from tepm_opt.control.references.reference import Reference
 from tepm_opt.hw.rig import Command
 from tepm_opt.models.compile import CompiledModel
@@ -114,7 +114,7 @@ class StepSetup:
     def fits(self) -> bool:
         """Whether there is a step in C for it."""
         asked = self.controller
-        plain = self.reference.keep_out is None and not isinstance(self.reference, FreeReference)
+        plain = self.reference.keep_out is None and not isinstance(self.reference, PathFollowingReference)
         return plain and asked.use is Use.BOTH and self.model.is_c and asked.stages > 1
 
     @property
