@@ -57,12 +57,12 @@ def tasks(session: Session) -> list[Task]:
         return Contender(name, lambda: buffered(at, u), lambda found: found.reshape(-1, 3).T * span)
 
     contenders = [
-        Contender(OURS, lambda: solve_gain(scene.bent), lambda found: found.normalised(), ours=True),
+        Contender(OURS, lambda: solve_gain(scene.bent), lambda found: found.normalise(), ours=True),
         peer(AD_C, compiled),
         Contender(f"{AD_C}, plain call", lambda: compiled(at, u), lambda found: found.full() * span),
         peer(AD_INTERPRETED, interpreted),
         peer("AD through newton, virtual machine", plain),
         Contender("central differences, 24 fast_newton solves", differences, lambda found: found * span),
     ]
-    expected = solve_gain(scene.bent).normalised()
+    expected = solve_gain(scene.bent).normalise()
     return [Task("gain", "G, 3 x 12, at 0.15 MPa in p_11 and p_21", expected, contenders)]

@@ -20,6 +20,7 @@ RENAMED = {
     "Closing": "ModelUpdate",
     "Family": "studies.Family",
     "MachinesRun": "studies.MachinesRun",
+    "balanced": "balanced_reduction",
     "run_blind": "studies.run_blind",
     "run_close": "run_model_update",
     "run_machines": "studies.run_machines",

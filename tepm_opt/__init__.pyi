@@ -118,7 +118,7 @@ from .solvers.planning.plan import plan_path as plan_path
 from .solvers.planning.program import Box as Box
 from .solvers.planning.program import Sphere as Sphere
 from .solvers.planning.result import MotionPlan as MotionPlan
-from .solvers.reduction import balanced as balanced
+from .solvers.reduction import balanced_reduction as balanced_reduction
 from .solvers.reduction import modal as modal
 from .solvers.simulate import Directions as Directions
 from .solvers.simulate import Simulation as Simulation

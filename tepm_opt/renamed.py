@@ -65,3 +65,11 @@ class RenamedMethod:
         message = f"{owner.__name__}.{self._old} is now {owner.__name__}.{self._new}; the old name goes with version 0.4"
         warnings.warn(message, DeprecationWarning, stacklevel=2)
         return getattr(owner if instance is None else instance, self._new)
+
+
+def adopt_renamed_hook(kind: type, old: str, new: str) -> None:
+    """Let a new class override a hook by its old name, with a DeprecationWarning; to be called by its base's `__init_subclass__`."""
+    if old in vars(kind) and new not in vars(kind):
+        message = f"{kind.__name__}.{old} is now {kind.__name__}.{new}; the old name goes with version 0.4"
+        warnings.warn(message, DeprecationWarning, stacklevel=3)
+        setattr(kind, new, vars(kind)[old])

@@ -7,8 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from tepm_opt import Directions, Linear, LoopSetup, Model
+from tepm_opt import Directions, Gain, Linear, LoopSetup, Model, Trajectory
 from tepm_opt.control.references.reference import Reference
+from tepm_opt.hw.simulation.imperfections.base import Imperfection
+from tepm_opt.models.effect import Effect
+from tepm_opt.solvers.modal_model import ModalModel
 
 MOVED = {
     "tepm_opt.control.estimator": "tepm_opt.control.estimation.kalman_filter",
@@ -41,6 +44,9 @@ METHODS = [
     (Reference, "begun", "rewind"),
     (Reference, "over", "is_over"),
     (Reference, "at", "rows_at"),
+    (Trajectory, "resampled", "resample"),
+    (Gain, "normalised", "normalise"),
+    (ModalModel, "damped", "scale_damping"),
 ]
 
 
@@ -62,3 +68,13 @@ def test_the_warning_of_an_old_name_stands_where_it_is_used() -> None:
         found = LoopSetup.of("mode1", "bench", 3, {})
     assert found == LoopSetup.from_options("mode1", "bench", 3, {}) != LoopSetup()
     assert Path(told[0].filename) == Path(__file__)
+
+
+@pytest.mark.parametrize(("base", "old", "new"), [(Effect, "suggested", "suggest_values"), (Imperfection, "shaking", "base_motion")])
+def test_a_hook_by_its_old_name_is_called_by_the_new_one(base: type, old: str, new: str) -> None:
+    def hook(self: object) -> str:
+        return "of the subclass"
+
+    with pytest.warns(DeprecationWarning, match=rf"Mine\.{old} is now Mine\.{new}; the old name goes with version 0\.4"):
+        mine = type("Mine", (base,), {old: hook, "__module__": __name__})
+    assert getattr(mine, new) is hook

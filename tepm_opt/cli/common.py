@@ -1,4 +1,4 @@
-"""What the commands share: options, progress, printing."""
+"""Shared parts of the commands: options, progress, printing."""
 
 from __future__ import annotations
 

@@ -90,9 +90,9 @@ class DriveOptions(OptionGroup):
         Raises:
             InputError: it is, and the rig is a real one, which begins there.
         """
-        from tepm_opt.control.collision.model import KeepOut
+        from tepm_opt.control.collision.model import CollisionModel
 
-        if course.keep_out is None or not (inside := KeepOut(model, course.keep_out).at_rest()):
+        if course.keep_out is None or not (inside := CollisionModel(model, course.keep_out).at_rest()):
             return
         if rig.simulated is None:
             raise tepm.InputError(f"{self.keep_out}: {inside}")

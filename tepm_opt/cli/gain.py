@@ -49,7 +49,7 @@ def gain(
         raise unknown_name("reference point", point, names)
     setpoints = tepm.read_setpoints(inputs, compiled.layout.actuator_names, compiled.input_max)
     folder = output_folder(out)
-    with workers.opened() as executor, show_progress(as_json) as progress:
+    with workers.open_executor() as executor, show_progress(as_json) as progress:
         run = tepm.run_gain(compiled, setpoints, names.index(point) if point else -1, with_map, progress, executor)
     run.save(folder)
     plots.draw(run, folder)

@@ -57,7 +57,7 @@ EFFECTS = inspect.Parameter(
         typer.Option("--effects", metavar="FILE", help="Python file with effects of your own, which is run; may be repeated."),
     ],
 )
-"""Of every command that takes a model."""
+"""Option of every command that takes a model."""
 
 
 def spread(command: Command) -> Command:
@@ -130,8 +130,8 @@ class WorkerOptions(OptionGroup):
         return self.jobs is not None or self.scheduler is not None
 
     @contextmanager
-    def opened(self) -> Iterator[Executor | None]:
-        """The executor asked for; None where none was.
+    def open_executor(self) -> Iterator[Executor | None]:
+        """Open the executor asked for; None where none was.
 
         Raises:
             InputError: Dask is not installed, or no scheduler answers.
@@ -211,7 +211,7 @@ class ShapeOptions(OptionGroup):
         path = read_trajectory(name, self.given.get("duration"))
         if model is not None:
             refuse_far(model, path.positions, name)
-        return path.resampled(self.given["points"]) if "points" in self.given else path
+        return path.resample(self.given["points"]) if "points" in self.given else path
 
 
 @dataclass(frozen=True)

@@ -67,7 +67,7 @@ def identify(
             raise InputError(f"robot {compiled.robot.name} has no priors: name the parameters to fit with --free")
         fit = partial(tepm.run_identify, compiled, sets, names, options)
     try:
-        with workers.opened() as executor, show_progress(as_json) as progress:
+        with workers.open_executor() as executor, show_progress(as_json) as progress:
             run = fit(progress) if executor is None else fit(progress, executor)
     except KeyboardInterrupt:
         stderr.print("interrupted: nothing was written")

@@ -33,7 +33,7 @@ def lines(run: ModesRun, shown: int, out: Path | None) -> list[str]:
     if held:
         text.append(f"{held} eigenvalues are 0: internal states that stick (dry friction, hysteresis) and act as springs on small motions")
     text += ["", "frequency  damping   time const.  tip by full range     shape"]
-    text += _merged([(mode, _line(run, mode)) for mode in run.modes])[:shown]
+    text += _merge_memory_modes([(mode, _line(run, mode)) for mode in run.modes])[:shown]
     text += [
         "",
         f"fastest eigenvalue {max(abs(mode.value) for mode in run.modes):.4g} 1/s; RK4 is stable up to {1e3 * run.step:.4f} ms",
@@ -53,8 +53,8 @@ def _line(run: ModesRun, mode: Mode) -> str:
     return f"{swings}  {mode.time_constant:10.4g} s  {driven}{mode.words}"
 
 
-def _merged(rows: Sequence[tuple[Mode, str]]) -> list[str]:
-    """Lines of the table, more than two modes of memory in a row being one."""
+def _merge_memory_modes(rows: Sequence[tuple[Mode, str]]) -> list[str]:
+    """Write lines of the table; more than two modes of memory in a row are one line."""
     text: list[str] = []
     k = 0
     while k < len(rows):

@@ -18,7 +18,17 @@ from tepm_opt.cli.common import UNSOLVED, JsonOption, ModelOption, RobotOption, 
 from tepm_opt.cli.driving import DriveOptions
 from tepm_opt.cli.groups import TRAJECTORY_HELP, IkOptions, OptionGroup, TrajectoryOptions, WorkerOptions
 from tepm_opt.cli.progress import show_progress
-from tepm_opt.cli.rigs import FoxgloveOption, RigOption, RosOption, SeedOption, failed, opener, publisher, robot_there, stopped_by_signals
+from tepm_opt.cli.rigs import (
+    FoxgloveOption,
+    RigOption,
+    RosOption,
+    SeedOption,
+    opener,
+    publisher,
+    report_failure,
+    robot_there,
+    stopped_by_signals,
+)
 
 if TYPE_CHECKING:
     import numpy as np
@@ -133,7 +143,7 @@ def round_lines(run: RoundsRun, out: Path) -> list[str]:
     return text if run.ok else [*text, f"[yellow]{escape(ended)}[/]"]
 
 
-def _learned(
+def _drive_rounds(
     drive: Callable[[Observer | None, Progress], RoundsRun],
     view: AbstractContextManager[Observer | None],
     out: Path,
@@ -152,7 +162,7 @@ def _learned(
         with stopped_by_signals(), view as observer, show_progress(as_json) as bars:
             rounds = drive(observer, bars)
     except (RuntimeError, OSError) as error:
-        return failed(error, "rounds that ended are kept")
+        return report_failure(error, "rounds that ended are kept")
     plots.draw(rounds, folder)
     return report(rounds.summary(), round_lines(rounds, out), as_json, rounds.ok and not any(loop.doubts for loop in rounds.loops))
 
@@ -240,12 +250,12 @@ def mpc(
                 every = (lambda number: opened(seed + number) if number else device), setup, learn or 1, folder, known
                 return tepm.run_rounds(compiled, reference, *every, kinematics.settings(), progress=bars, observer=observer)
 
-            return _learned(rounds, live(view, device, shows), out, folder, as_json)
+            return _drive_rounds(rounds, live(view, device, shows), out, folder, as_json)
         try:
             with stopped_by_signals(), live(view, device, shows) as observer, show_progress(as_json) as bars:
                 loop = tepm.run_closed_loop(compiled, reference, device, setup, folder, progress=bars, observer=observer)
         except (RuntimeError, OSError) as error:
-            return failed(error, "nothing was finished")
+            return report_failure(error, "nothing was finished")
         try:
             plots.draw(loop, folder)
         except KeyboardInterrupt:

@@ -102,7 +102,7 @@ def plan(
     as_json: JsonOption = False,
 ) -> int:
     """Plan a motion from rest to rest under all limits: set points to play, the tip's reference, figure."""
-    from tepm_opt.control.collision.model import KeepOut
+    from tepm_opt.control.collision.model import CollisionModel
     from tepm_opt.jobs.plan import tell_rest_inside
     from tepm_opt.solvers.planning.plan import FASTEST, FOR_LOOPS
 
@@ -118,7 +118,7 @@ def plan(
     folder = output_folder(out)
     compiled = load(robot, model)
     way = _way(path, which, *ends, compiled)
-    inside = KeepOut(compiled, known).at_rest() if known is not None else ""
+    inside = CollisionModel(compiled, known).at_rest() if known is not None else ""
     if inside := inside or tell_rest_inside(compiled, {text: kept[text] for text in obstacles or ()}):
         warn(inside)
     with show_progress(as_json) as progress:

@@ -13,7 +13,17 @@ import tepm_opt as tepm
 from tepm_opt.cli import INTERRUPTED
 from tepm_opt.cli.common import JsonOption, RobotOption, folder_for, stdout, warn
 from tepm_opt.cli.progress import show_progress
-from tepm_opt.cli.rigs import FoxgloveOption, RigOption, RosOption, SeedOption, failed, opener, publisher, robot_there, stopped_by_signals
+from tepm_opt.cli.rigs import (
+    FoxgloveOption,
+    RigOption,
+    RosOption,
+    SeedOption,
+    opener,
+    publisher,
+    report_failure,
+    robot_there,
+    stopped_by_signals,
+)
 from tepm_opt.progress import with_prefix
 
 MEASURED = "measured.csv"
@@ -48,7 +58,7 @@ def play(
         warn(f"interrupted: the rig is stopped; {left}")
         return INTERRUPTED
     except (RuntimeError, OSError) as error:
-        return failed(error, left)
+        return report_failure(error, left)
     run, notes = measured.run, list(measured.notes)
     if as_json:
         print(json.dumps({"file": str(file), "rows": run.rows, "duration_s": run.duration, "notes": notes}, indent=2))

@@ -13,7 +13,7 @@ import tepm_opt as tepm
 from tepm_opt.cli import INTERRUPTED
 from tepm_opt.cli.common import JsonOption, RobotOption, stdout, warn
 from tepm_opt.cli.progress import show_progress
-from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, robot_there, stopped_by_signals
+from tepm_opt.cli.rigs import RigOption, SeedOption, opener, report_failure, robot_there, stopped_by_signals
 from tepm_opt.errors import InputError
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def record(
         warn(f"interrupted: {describe_kept_runs(planned, out)}")
         return INTERRUPTED
     except (RuntimeError, OSError) as error:
-        return failed(error, describe_kept_runs(planned, out))
+        return report_failure(error, describe_kept_runs(planned, out))
     if as_json:
         print(json.dumps(done.summary(), indent=2))
         return 0

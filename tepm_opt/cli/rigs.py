@@ -1,4 +1,4 @@
-"""What `tepm record` and `tepm play` share: opening rigs, progress, and stopping them also when the system ends the program."""
+"""Shared parts of `tepm record` and `tepm play`: opening rigs, progress, and a stop that also works when the system ends the program."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def opener(text: str, robot: Robot, seed: int, live: RunPublisher | None = None)
     return open_seeded
 
 
-def failed(error: Exception, kept: str) -> int:
+def report_failure(error: Exception, kept: str) -> int:
     """Print in one line why a rig failed (a simulation that leaves all bounds, a dead line); return the exit status."""
     reason = " ".join(str(error).split()) or type(error).__name__
     stderr.print(f"[bold red]the rig failed:[/] {escape(reason)}; {escape(kept)}", soft_wrap=True, highlight=False)

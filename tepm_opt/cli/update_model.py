@@ -14,7 +14,7 @@ from tepm_opt.cli import INTERRUPTED
 from tepm_opt.cli.common import JsonOption, ModelOption, RobotOption, folder_for, load, report, warn
 from tepm_opt.cli.groups import TRAJECTORY_HELP, TrajectoryOptions
 from tepm_opt.cli.progress import show_progress
-from tepm_opt.cli.rigs import RigOption, SeedOption, failed, opener, robot_there, stopped_by_signals
+from tepm_opt.cli.rigs import RigOption, SeedOption, opener, report_failure, robot_there, stopped_by_signals
 
 PAGE = "closed.html"
 PATHS = ("circle", "lissajous")
@@ -64,7 +64,7 @@ def update_model(
             warn(f"interrupted: what is finished is in {out}; the same command goes on")
             return INTERRUPTED
         except (RuntimeError, OSError) as error:
-            return failed(error, f"what is finished is in {out}; the same command goes on")
+            return report_failure(error, f"what is finished is in {out}; the same command goes on")
         tepm.write_model_update_page(folder / PAGE, done)
     told = done.summary()
     named = ", ".join(f"{_label(effect)} {effect['probability']:.2f}" for effect in told["effects"]) or "nothing"

@@ -116,7 +116,7 @@ class LoopRecord:
         self.points.append(sample.points)
         self.truth.append(np.full(3, np.nan) if true is None else true.true_points[-1])
         if keep_out is not None:
-            watched = None if true is None else keep_out.watched(true.true_points, true.true_nodes)
+            watched = None if true is None else keep_out.stack_watched_points(true.true_points, true.true_nodes)
             self.distance.append(np.nan if watched is None else keep_out.nearest(watched).distance)
         self.commands.append(step.command)
         self.measured.append(_join_measured_inputs(sample, 2 * len(step.command.pressures)))
@@ -153,7 +153,7 @@ def close_loop(
     guard, done = guard or Guard(), keep or LoopRecord(controller.reference)
     rests = rig.simulated is not None or guard.approach_time <= 0
     loop = _Loop(rig, controller, guard, Supervisor(guard, robot), progress)
-    with rig, undisturbed():
+    with rig, pause_garbage_collection():
         try:
             start = controller.start()
             check_command(start, robot)
@@ -171,9 +171,11 @@ def close_loop(
 
 
 @contextlib.contextmanager
-def undisturbed() -> Iterator[None]:
-    """Python's search for cyclic garbage waits until the loop is over: it stops everything for up to some ten milliseconds. Threads
-    beside the loop (the journal's) let it go on within a tenth of a millisecond instead of five."""
+def pause_garbage_collection() -> Iterator[None]:
+    """Keep Python's search for cyclic garbage off until the loop is over: it stops everything for up to some ten milliseconds.
+
+    Threads beside the loop (the journal's) let it go on within a tenth of a millisecond instead of five.
+    """
     was, interval = gc.isenabled(), sys.getswitchinterval()
     gc.disable()
     sys.setswitchinterval(SWITCH)

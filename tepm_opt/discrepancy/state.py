@@ -25,7 +25,7 @@ from tepm_opt.discrepancy.setup.errors import SetupError
 from tepm_opt.discrepancy.symbolic.invent import Invention
 from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.identify import ParameterEstimate, Problem
-from tepm_opt.solvers.text import shortened
+from tepm_opt.solvers.text import shorten
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,4 +171,4 @@ class Discovery:
 
     def __repr__(self) -> str:
         """The outcome and the main numbers, in a line."""
-        return f"Discovery({self.verdict.status.value}, {shortened(self.dataset.name, 40)}, {len(self.explanation.tried)} fits)"
+        return f"Discovery({self.verdict.status.value}, {shorten(self.dataset.name, 40)}, {len(self.explanation.tried)} fits)"

@@ -80,8 +80,8 @@ class Asked:
         return [part for file in self.effects for part in ("--effects", file)]
 
 
-def advised(result: Discovery, asked: Asked) -> Discovery:
-    """A discovery whose verdict says with which command to go on."""
+def add_advice(result: Discovery, asked: Asked) -> Discovery:
+    """Add the command with which to go on to a discovery's verdict."""
     step, command = _advice(result, asked)
     return replace(result, verdict=replace(result.verdict, next=step, command=command))
 

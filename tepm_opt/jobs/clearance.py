@@ -1,4 +1,4 @@
-"""How near a closed loop came to obstacles, and how far from a path with free progress: columns of its log, numbers of its summary."""
+"""Distances of a closed loop from obstacles and from a path with free progress: columns of its log, numbers of its summary."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from tepm_opt.control.collision.model import DISTANCE, OBSTACLE, POINT, TRUE_DISTANCE
 from tepm_opt.control.loop import LoopRecord
-from tepm_opt.control.references.path_following import FreeReference, contour_errors
+from tepm_opt.control.references.path_following import PathFollowingReference, contour_errors
 from tepm_opt.control.references.reference import Reference
 
 CONTOUR, TRUE_CONTOUR = "contour_error_m", "true_contour_error_m"
@@ -32,8 +32,8 @@ def smallest(steps: Mapping[str, np.ndarray]) -> float:
     return float(np.nanmin(values)) if np.isfinite(values).any() else math.inf
 
 
-def touched(steps: Mapping[str, np.ndarray], time: np.ndarray) -> dict[str, tuple[float, str]]:
-    """The doubt that a person is told where the arm was inside an obstacle, with when it first was, in s.
+def find_contacts(steps: Mapping[str, np.ndarray], time: np.ndarray) -> dict[str, tuple[float, str]]:
+    """Find where the arm was inside an obstacle: the doubt that a person is told, with when it first was, in s.
 
     Args:
         steps: columns of the log.
@@ -52,7 +52,7 @@ def touched(steps: Mapping[str, np.ndarray], time: np.ndarray) -> dict[str, tupl
 
 def contour_columns(done: LoopRecord, rows: slice) -> dict[str, np.ndarray]:
     """Columns of distances from the path in m, of the tracked and the true tip, (samples,), where progress is free."""
-    if not isinstance(done.reference, FreeReference):
+    if not isinstance(done.reference, PathFollowingReference):
         return {}
     places, points = np.array(done.rows[rows], dtype=int), np.array(done.points[rows])
     tips = {CONTOUR: points[:, -1] if len(points) else np.zeros((0, 3)), TRUE_CONTOUR: np.array(done.truth[rows]).reshape(-1, 3)}

@@ -1,4 +1,4 @@
-"""What a closed loop did: errors, split of the actuation, effort, times; as arrays, a log and a summary."""
+"""Result of a closed loop: errors, split of the actuation, effort, times; as arrays, a log and a summary."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tepm_opt.data.files import output_folder
 from tepm_opt.data.frames import Tabular
 from tepm_opt.data.setpoints import FORCE_COLUMNS
 from tepm_opt.data.tables import write_columns
-from tepm_opt.jobs.clearance import clearance, contour, contour_columns, moved_most, touched, true_distance
+from tepm_opt.jobs.clearance import clearance, contour, contour_columns, find_contacts, moved_most, true_distance
 from tepm_opt.jobs.output import save_summary
 from tepm_opt.jobs.refit import changes_told, save_changed
 from tepm_opt.models.channels import channels_of
@@ -150,18 +150,18 @@ class ClosedLoop(Tabular):
         rows = slice(*rows.indices(len(done.telemetry)))  # an interruption may come between two columns
         commands, places = done.commands[rows], np.array(done.rows[rows], dtype=int)
 
-        steps = {**_stacked(done.telemetry[rows]), **true_distance(done, rows), **contour_columns(done, rows)}
+        steps = {**_stack_telemetry(done.telemetry[rows]), **true_distance(done, rows), **contour_columns(done, rows)}
         time, doubts = np.array(done.time[rows]), _doubts(done.time[rows], done.telemetry[rows])
 
-        def stacked(values: Sequence[Any], *shape: int) -> np.ndarray:
+        def stack(values: Sequence[Any], *shape: int) -> np.ndarray:
             return np.array(values, dtype=float).reshape(-1, *shape)
 
         return ClosedLoop(
-            model.model, setup, Devices.from_model(model), done.reference.duration, done.reference.period, stacked(done.time[rows]),
-            done.reference.path[places], done.reference.counted[places], stacked(done.points[rows], model.layout.points, 3),
-            stacked(done.truth[rows], 3), stacked([c.pressures for c in commands], half), stacked([c.tensions for c in commands], half),
-            stacked([c.enabled for c in commands], half).astype(bool), stacked(done.measured[rows], 2 * half), stacked(done.seconds[rows]),
-            steps, done.outcome, dict(done.fallbacks), doubts | touched(steps, time), moved_most(done.reference),
+            model.model, setup, Devices.from_model(model), done.reference.duration, done.reference.period, stack(done.time[rows]),
+            done.reference.path[places], done.reference.counted[places], stack(done.points[rows], model.layout.points, 3),
+            stack(done.truth[rows], 3), stack([c.pressures for c in commands], half), stack([c.tensions for c in commands], half),
+            stack([c.enabled for c in commands], half).astype(bool), stack(done.measured[rows], 2 * half), stack(done.seconds[rows]),
+            steps, done.outcome, dict(done.fallbacks), doubts | find_contacts(steps, time), moved_most(done.reference),
         )  # fmt: skip
 
     @property
@@ -350,7 +350,7 @@ class ClosedLoop(Tabular):
             save_changed(self, folder)
 
 
-def _stacked(telemetry: Sequence[Telemetry]) -> dict[str, np.ndarray]:
+def _stack_telemetry(telemetry: Sequence[Telemetry]) -> dict[str, np.ndarray]:
     """Columns of a controller's telemetry by name, (samples,) each."""
     names = telemetry[0].columns if telemetry else {}
     return {name: np.array([row.columns[name] for row in telemetry]) for name in names}

@@ -53,7 +53,7 @@ def compare(tasks: Sequence[LoopTask], workers: int = 1, progress: Progress = si
         context = get_context("spawn")
         queue = context.SimpleQueue()
         with ProcessPoolExecutor(min(workers, len(tasks)), context, _set_queue, (queue,)) as pool:
-            waiting = [pool.submit(_reporting, task) for task in tasks]
+            waiting = [pool.submit(_run_and_report, task) for task in tasks]
             try:
                 _forward(waiting, queue, progress)
             except KeyboardInterrupt:
@@ -84,7 +84,7 @@ def _set_queue(queue: Any) -> None:
     _QUEUE = queue
 
 
-def _reporting(task: LoopTask) -> ClosedLoop:
+def _run_and_report(task: LoopTask) -> ClosedLoop:
     """`_alone` in a process of its own, which compiles (or finds) the model for itself."""
     last = [0.0]
 

@@ -1,4 +1,4 @@
-"""How a trajectory is driven: from rest, along it or point by point."""
+"""Options of tracking a trajectory: from rest, along it or point by point."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import numpy as np
 
 from tepm_opt.control.collision.elastic_band import detour
 from tepm_opt.control.collision.geometry import Obstacles
-from tepm_opt.control.collision.model import KeepOut
-from tepm_opt.control.references.path_following import FINE, FreeReference
+from tepm_opt.control.collision.model import CollisionModel
+from tepm_opt.control.references.path_following import FINE, PathFollowingReference
 from tepm_opt.control.references.reference import PERIOD, START_UP, Reference, approach, point_by_point, reference_of, sample_tips
-from tepm_opt.control.references.time_optimal import PaceSettings, retimed
+from tepm_opt.control.references.time_optimal import PaceSettings, retime
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.progress import Progress, silent
@@ -81,7 +81,7 @@ def whole_reference(
         raise InputError(f"stay = {course.stay:g} s: points have no progress that could be free; leave one of the two out")
     period = PERIOD if course.pace is None else PERIOD / FINE
     if course.pace is not None:
-        trajectory = retimed(model, trajectory, course.pace, kinematics, progress)
+        trajectory = retime(model, trajectory, course.pace, kinematics, progress)
     if course.stay is not None:
         move = PERIOD if course.steps else course.stay / 3
         tips, counted, point = point_by_point(trajectory.positions, move, course.stay, course.stay / 3)
@@ -97,8 +97,8 @@ def whole_reference(
     found = reference_of(model, tips, counted, point, kinematics=kinematics, progress=progress)
     if course.pace is not None:
         parts = {each.name: getattr(found, each.name) for each in fields(found)}
-        found = FreeReference(**parts, pace=course.pace)
-    return found if course.keep_out is None else detour(model, found, KeepOut(model, course.keep_out), progress)
+        found = PathFollowingReference(**parts, pace=course.pace)
+    return found if course.keep_out is None else detour(model, found, CollisionModel(model, course.keep_out), progress)
 
 
 def _rests(trajectory: Trajectory) -> bool:

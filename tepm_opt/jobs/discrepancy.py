@@ -31,9 +31,9 @@ from tepm_opt.discrepancy.symbolic.invent import Invention
 from tepm_opt.discrepancy.symbolic.invent import invent as invented
 from tepm_opt.discrepancy.symbolic.page import as_json, curves, page
 from tepm_opt.errors import InputError
-from tepm_opt.jobs.advice import MENDED, MODEL, VALUES, Asked, advised
+from tepm_opt.jobs.advice import MENDED, MODEL, VALUES, Asked, add_advice
 from tepm_opt.jobs.baseline import BaselineFile, fingerprint
-from tepm_opt.jobs.joined import joined
+from tepm_opt.jobs.joined import concatenate_datasets
 from tepm_opt.jobs.plants import load_plant
 from tepm_opt.models.channels import channels_of, read
 from tepm_opt.models.effect_files import loaded_effects, loaded_files
@@ -92,7 +92,7 @@ def run_discrepancy(
         progress: told of every piece of work.
         plant: Python file of another machine, which the data set is of.
         invent: whether to seek a law where no known effect explains what is left; its effect file, page and model go into `effects`.
-        add: data sets of the same machine that were recorded later, see `joined`.
+        add: data sets of the same machine that were recorded later, see `concatenate_datasets`.
         mend: whether to write the data without their set-up errors into `mended`.
         baseline: an earlier data set of the same machine: the answer tells what changed since; what it says of the parameters and of the
             model's error goes into `baseline.json`. Or such a file, so that nothing is learned anew.
@@ -149,7 +149,7 @@ def _explain_robot(asked: Asked, seed: int, limit: TimeLimit, progress: Progress
         write_dataset(dataset.with_runs(mend_runs(dataset.runs, result.verdict.setup)), out / MENDED, overwrite=True)
     if asked.invent and result.verdict.status in (VerdictStatus.UNEXPLAINED, VerdictStatus.PARTIAL):
         result = replace(result, law=with_law(result, out / EFFECTS, progress))
-    result = advised(result, replace(asked, ended_early=limit.was_short))
+    result = add_advice(result, replace(asked, ended_early=limit.was_short))
     _write(result, out, warnings, limit, {"data": [_seen_from(out, each) for each in folders], "model": _seen_from(out, model)})
     return result
 
@@ -182,7 +182,7 @@ def _explain_plant(asked: Asked, file: Path, seed: int, limit: TimeLimit, progre
         earlier, key = source.learn(question, machine, out), fingerprint([source.folder], key)
     result = discover(dataset, plant, _noise(dataset, plant), seed, out / FITS, key, None, progress, baseline=earlier, limit=limit)
     write_atomically(out / VALUES, json.dumps(result.verdict.model, indent=2) + "\n")
-    result = advised(result, replace(asked, ended_early=limit.was_short))
+    result = add_advice(result, replace(asked, ended_early=limit.was_short))
     _write(result, out, [], limit)
     return result
 
@@ -210,14 +210,17 @@ def _line(finding: Finding) -> str:
 
 
 def checked_datasets(folders: Sequence[Path], despite_errors: bool = False, mends_setup: bool = False) -> tuple[DataSet, list[str]]:
-    """Data sets of one machine as one, and the warnings of their checks; see `checked_dataset` and `joined`.
+    """Data sets of one machine as one, and the warnings of their checks; see `checked_dataset` and `concatenate_datasets`.
 
     Raises:
         InputError: one of them cannot be used, or they do not fit together.
     """
     (first, warnings), *others = (checked_dataset(folder, despite_errors, mends_setup) for folder in folders)
     lines = [f"{folder.name}/{line}" for folder, (_, own) in zip(folders[1:], others, strict=True) for line in own]
-    return joined(first, [(folder, found) for folder, (found, _) in zip(folders[1:], others, strict=True)]), [*warnings, *lines]
+    return concatenate_datasets(first, [(folder, found) for folder, (found, _) in zip(folders[1:], others, strict=True)]), [
+        *warnings,
+        *lines,
+    ]
 
 
 def with_law(result: Discovery, folder: Path, progress: Progress = silent) -> Invention | None:

@@ -29,7 +29,7 @@ from tepm_opt.recording.standard import PLANS, PlannedPattern, plan_text, sample
 from tepm_opt.solvers.plant import PredictionError
 
 SHARES = (1.0, 0.8, 0.6, 0.45, 0.3)
-"""Of the levels of a plan, tried one after the other until the model bears all runs."""
+"""Factors on the levels of a plan, tried one after the other until the model bears all runs."""
 HEAD = (
     "A recording plan for identification and the search for missing effects: tepm record PLAN --rig RIG --out DATASET.",
     "Every input alone and all together, up and back, slow and quick, with and without loads. docs/how-to/recording.md explains every key.",

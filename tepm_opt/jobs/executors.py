@@ -1,4 +1,4 @@
-"""Where many independent pieces of work run: processes of this machine, or a cluster's workers."""
+"""Executors of many independent pieces of work: processes of this machine, or a cluster's workers."""
 
 from __future__ import annotations
 

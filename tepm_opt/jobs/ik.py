@@ -150,14 +150,14 @@ def run_ik(
         raise InputError(f"mid-tension {mid_tension:g}; valid: 0 … {highest:g} N")
     asked = len(trajectory.time)
     found = each_configuration(model, trajectory.positions, mode, tip_force, mid_tension, settings)
-    points, interrupted = collect(track(map(_checked, found), progress, f"inverse kinematics, {mode.value}", asked))
+    points, interrupted = collect(track(map(_check_equilibria, found), progress, f"inverse kinematics, {mode.value}", asked))
     count = len(points)
     part = Trajectory(trajectory.time[:count], trajectory.positions[:count], trajectory.closed and not interrupted)
     configurations, held, rounded = [p[0] for p in points], [p[1] for p in points], [p[2] for p in points]
     return IkRun(model, part, mode, configurations, held, rounded, asked, interrupted)
 
 
-def _checked(found: Configuration) -> tuple[Configuration, Equilibrium, Equilibrium]:
+def _check_equilibria(found: Configuration) -> tuple[Configuration, Equilibrium, Equilibrium]:
     """A configuration with the equilibria under its exact set points, found from rest, and under its rounded ones, from there.
 
     From rest, because a network of few segments can have several equilibria under the same set points.

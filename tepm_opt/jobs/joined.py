@@ -12,8 +12,8 @@ from tepm_opt.errors import InputError
 from tepm_opt.models.robot import load_robot
 
 
-def joined(first: DataSet, added: Sequence[tuple[Path, DataSet]]) -> DataSet:
-    """A data set with the runs of others behind its own, as if the session had gone on.
+def concatenate_datasets(first: DataSet, added: Sequence[tuple[Path, DataSet]]) -> DataSet:
+    """Append the runs of other data sets to one, as if the session had gone on.
 
     Runs that are added are named after their folder: `extra/next.csv` is `extra_next.csv`. An unknown noise is taken to be the first's.
 
@@ -37,11 +37,11 @@ def joined(first: DataSet, added: Sequence[tuple[Path, DataSet]]) -> DataSet:
         ):
             if own is not None and before is not None and abs(own - before) > 1e-6 * before:
                 raise InputError(f"{folder}: {name} = {own:g} {unit}; valid: {before:g} {unit}, as in the data before")
-        found = found.with_runs([*found.runs, *_renamed(found, folder, other)])
+        found = found.with_runs([*found.runs, *_rename_runs(found, folder, other)])
     return found
 
 
-def _renamed(before: DataSet, folder: Path, added: DataSet) -> tuple[Run, ...]:
+def _rename_runs(before: DataSet, folder: Path, added: DataSet) -> tuple[Run, ...]:
     """Runs under names that are free, after those before."""
     last = max(before.runs, key=lambda run: run.began)
     taken, prefix, number = {run.file for run in before.runs}, folder.resolve().name, 2

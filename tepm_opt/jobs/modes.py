@@ -21,7 +21,7 @@ from tepm_opt.outcome import Outcome
 from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.linear import Linear, linearise
 from tepm_opt.solvers.modes import Mode, modes
-from tepm_opt.solvers.reduction import Reduced, balanced
+from tepm_opt.solvers.reduction import Reduced, balanced_reduction
 from tepm_opt.solvers.simulate import stable_step
 from tepm_opt.solvers.statics import Equilibrium
 
@@ -175,6 +175,6 @@ def run_modes(
     progress("linearising", 0, 0)
     linear = linearise(equilibrium)
     progress("reducing", 0, 0)
-    reduced = balanced(linear, order, tolerance=None if order else TOLERANCE, inputs=inputs, outputs=outputs)
+    reduced = balanced_reduction(linear, order, tolerance=None if order else TOLERANCE, inputs=inputs, outputs=outputs)
     progress("modes", 0, 0)
     return ModesRun(linear, modes(linear), stable_step(equilibrium), reduced)

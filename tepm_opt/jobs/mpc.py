@@ -135,7 +135,7 @@ def run_closed_loop(
         settings = settings.in_real_time(reference.period)
     controller = kind.make(model, reference, settings)
     if kind.name == DEFAULT:
-        controller = monitor.watched(controller, model)
+        controller = monitor.attach_monitor(controller, model)
     done = LoopRecord(controller.reference)
     statuses: list[str] = []
 
@@ -144,14 +144,14 @@ def run_closed_loop(
 
     with _open_journal(None if folder is None else Path(folder), part) as keep:
 
-        def watched(sample: Sample, target: np.ndarray) -> None:
+        def watch_sample(sample: Sample, target: np.ndarray) -> None:
             statuses.append(sample.status)
             keep(len(done.rows) - 1)
             if observer is not None:
                 observer(replace(sample, faults=done.telemetry[-1].doubts), done.commands[-1], target)
 
         try:
-            close_loop(rig, controller, model.robot, guard, progress, watched, done)
+            close_loop(rig, controller, model.robot, guard, progress, watch_sample, done)
         except KeyboardInterrupt:  # while the rig was being opened or stopped
             done.outcome = INTERRUPTED
         except (InputError, RuntimeError, OSError) as error:

@@ -42,7 +42,7 @@ DRAWS, ROUNDS, KEPT, NEAR = 20, 2, 2, 4
 """Runs that are drawn; rounds of variation after them, the best runs that are varied in each, and how often."""
 TRIES = 20  # draws until a robot bears a random run
 FARTHEST, ROUGH = 0.7, 0.25
-"""Of the arm's length: how far the tip may go from where a run begins; of the noise: how much the time step of fits may change a run."""
+"""Limits of the tip's way from a run's start, over the arm's length, and of the effect of the fits' time step on a run, over the noise."""
 LEAST = 0.1  # standard deviations below which nothing is told apart
 SHORTEST, LONGEST = 5.0, 600.0  # s
 

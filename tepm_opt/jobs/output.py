@@ -1,4 +1,4 @@
-"""What jobs share: items until the user interrupts, and files that several of them write.
+"""Shared parts of jobs: items until the user interrupts, and files that several of them write.
 
 A job is `run_<name>(…, progress)`, which returns a frozen run: `ok`, a `summary` for people and programs, and `save`, which writes its
 tables and the summary into a folder.

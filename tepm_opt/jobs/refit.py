@@ -1,4 +1,4 @@
-"""What a closed loop leaves for fitting a machine anew that has changed: its samples since then as a data set, and the command."""
+"""Data set and command for fitting a changed machine anew: the samples of a closed loop since the change."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `tepm simulate` computes and leaves in its folder: the motion under a file's inputs, beside measured points where it has any.
+"""Computation and files of `tepm simulate`: the motion under a file's inputs, beside measured points where it has any.
 
 The motion is kept at least every 40 ms, also between rows that lie further apart: figures then show the sway between them. Tables hold
 the file's rows.
@@ -67,8 +67,8 @@ def read_task(path: str | Path, model: CompiledModel) -> SimulationTask:
     return SimulationTask(SetPoints(run.time, run.inputs, run.tip_force), run.points if recorded else None)
 
 
-def densified(setpoints: SetPoints, hold: bool) -> tuple[SetPoints, np.ndarray]:
-    """The same inputs at more instants, at most 40 ms apart (more in very long files), and the places (rows,) of the rows among them."""
+def densify_inputs(setpoints: SetPoints, hold: bool) -> tuple[SetPoints, np.ndarray]:
+    """Interpolate inputs to at most 40 ms apart (more in very long files); with the places (rows,) of the rows among them."""
     time = setpoints.time
     spacing = max(DENSE, float(time[-1] - time[0]) / MOST_ADDED)
     parts = np.maximum(1, np.ceil(np.diff(time) / spacing * (1 - 1e-9)).astype(int))
@@ -243,7 +243,7 @@ def run_simulation(
     Raises:
         InputError: as for `simulate`.
     """
-    dense, places = densified(task.setpoints, task.hold)
+    dense, places = densify_inputs(task.setpoints, task.hold)
     found = simulate(model, dense, method, step, task.hold, None, task.directions, progress=progress, error=error)
     done = places[places < len(found.setpoints.time)]
     measured = None if task.measured is None else task.measured[: len(done)]

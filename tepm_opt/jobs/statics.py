@@ -57,7 +57,7 @@ class StaticsRun(Tabular):
             "interrupted": self.interrupted,
             "tip_m": [at.tip.tolist() if at.solved else None for at in self.equilibria],
             "smallest_stiffness_eigenvalue_N_per_m": [at.smallest_eigenvalue if at.solved else None for at in self.equilibria],
-            "unsolved": _unsolved(self.equilibria),
+            "unsolved": _list_unsolved(self.equilibria),
         }
 
     def columns(self) -> dict[str, np.ndarray]:
@@ -78,7 +78,7 @@ class StaticsRun(Tabular):
         save_summary(folder, "statics", self.summary())
 
 
-def _unsolved(equilibria: Sequence[Equilibrium]) -> list[dict[str, Any]]:
+def _list_unsolved(equilibria: Sequence[Equilibrium]) -> list[dict[str, Any]]:
     return [
         {"point": k, "status": at.outcome.ending.value, "reached": at.reached, "message": at.outcome.message}
         for k, at in enumerate(equilibria)

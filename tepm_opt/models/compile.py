@@ -111,7 +111,7 @@ class CompiledModel:
         names = self.network.parameter_names
         return self.with_theta([began if name in (CLOCK, BEGAN) else value for name, value in zip(names, self.theta, strict=True)])
 
-    def _declared(self, hook: str) -> list[tuple[ActiveEffect, Effect, dict[str, ca.SX]]]:
+    def _find_effects_with(self, hook: str) -> list[tuple[ActiveEffect, Effect, dict[str, ca.SX]]]:
         """The effects with this hook, and their parameters' values as constants."""
         found = [(effect, kind) for effect in self.model.effects if (kind := find_effect(effect.name)).has(hook)]
         return [(effect, kind, self._own(effect, kind)) for effect, kind in found]
@@ -144,13 +144,13 @@ class CompiledModel:
 
         Lags that act one after the other are taken as one with the sum of their time constants.
         """
-        lags = [lag for _, kind, own in self._declared("lag") if (lag := kind.lag(own)) is not None]
+        lags = [lag for _, kind, own in self._find_effects_with("lag") if (lag := kind.lag(own)) is not None]
         return (sum(float(lag.filling) for lag in lags), sum(float(lag.exhausting) for lag in lags)) if lags else None
 
     @cached_property
     def command_delay(self) -> float | None:
         """Time in s by which commands act late, by the effects that declare a delay; None without one."""
-        delays = [float(kind.delay(own)) for _, kind, own in self._declared("delay")]
+        delays = [float(kind.delay(own)) for _, kind, own in self._find_effects_with("delay")]
         return sum(delays) if delays else None
 
     def delays(self, time: np.ndarray, forces: bool = False) -> np.ndarray:
@@ -165,13 +165,13 @@ class CompiledModel:
     @cached_property
     def tendon_friction(self) -> tuple[float, float] | None:
         """Dry friction of the tendons, by the effects that declare it: constant part in N, share of the tension; None without one."""
-        found = [friction for _, kind, own in self._declared("friction") if (friction := kind.friction(own)) is not None]
+        found = [friction for _, kind, own in self._find_effects_with("friction") if (friction := kind.friction(own)) is not None]
         return (sum(float(constant) for constant, _ in found), sum(float(share) for _, share in found)) if found else None
 
     @cached_property
     def theta_without_devices(self) -> np.ndarray:
         """Values of the parameters with every effect that declares a lag or friction of the tendons at its null values, (parameters,)."""
-        declared = [*self._declared("lag"), *self._declared("friction")]
+        declared = [*self._find_effects_with("lag"), *self._find_effects_with("friction")]
         null = {f"{effect.label}.{p.name}": p.null for effect, kind, _ in declared for p in kind.parameters_of(self.layout)}
         return np.array([null.get(name, value) for name, value in self.values.items()])
 

@@ -16,7 +16,7 @@ from tepm_opt.models.effect import CLOCK, Effect
 from tepm_opt.models.layout import VERTICAL, Layout
 from tepm_opt.models.memories import Memory
 from tepm_opt.models.model import Model
-from tepm_opt.models.symbols import Segment, Writer, function, norm, pull_apart, spread, summed
+from tepm_opt.models.symbols import Segment, Writer, function, norm, pull_apart, spread, sum_blocks
 
 PRESSURE = 0  # of [pressures, tensions]
 
@@ -132,7 +132,7 @@ def _input_dynamics(writer: Writer) -> dict[str, ca.Function]:
     before: list[ca.SX] = []
     after: list[ca.SX] = []
     for kind, own, context in writer.effects:
-        signal, speed = _mapped(kind, own, context, signal, speed)
+        signal, speed = _map_inputs(kind, own, context, signal, speed)
         for which, remembers in enumerate((kind.pressure_memory, kind.tension_memory)):
             if not kind.has(remembers.__name__):
                 continue
@@ -146,8 +146,8 @@ def _input_dynamics(writer: Writer) -> dict[str, ca.Function]:
             memory = remembers(at, passing, last + y, own, context)
             if memory is not None:
                 reached = memory.advance(last + y, time)
-                signal[which] = signal[which] + summed(reached, count)
-                speed[which] = speed[which] + summed(reached - last - y, count) / time
+                signal[which] = signal[which] + sum_blocks(reached, count)
+                speed[which] = speed[which] + sum_blocks(reached - last - y, count) / time
                 before.append(state)
                 after.append(ca.vec((reached - begun).T))
     a = ca.vertcat(*(ca.vec(part.T) for part in signal))
@@ -159,7 +159,7 @@ def _input_dynamics(writer: Writer) -> dict[str, ca.Function]:
     }
 
 
-def _mapped(
+def _map_inputs(
     kind: Effect, own: Mapping[str, ca.SX], context: object, signal: list[ca.SX], speed: list[ca.SX]
 ) -> tuple[list[ca.SX], list[ca.SX]]:
     """Signals and their rates behind an effect's input map."""

@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from tepm_opt.models.memories import Lag, Memory, Play
+from tepm_opt.renamed import adopt_renamed_hook
 
 if TYPE_CHECKING:
     from tepm_opt.models.layout import Edge, Layout
@@ -138,6 +139,10 @@ class Effect:
     happens: ClassVar[str] = ""
     delays_forces: ClassVar[bool] = False
     further_probes: ClassVar[tuple[Mapping[str, float], ...]] = ()
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        adopt_renamed_hook(cls, "suggested", "suggest_values")
 
     def parameters_of(self, layout: Layout) -> tuple[Parameter, ...]:
         """The effect's parameters in a robot."""
@@ -305,8 +310,8 @@ class Effect:
         """Output map: reference points in G as measured from those in truth, both (3, points) in m."""
         return points
 
-    def suggested(self, clock: np.ndarray, began: np.ndarray, left: np.ndarray) -> Mapping[str, float]:
-        """Values of shape parameters at which to look for this effect, by name, from what a model without it leaves.
+    def suggest_values(self, clock: np.ndarray, began: np.ndarray, left: np.ndarray) -> Mapping[str, float]:
+        """Suggest values of shape parameters at which to look for this effect, by name, from what a model without it leaves.
 
         An effect that has this is nearly linear in its other parameters at such values, even if it is anything but that in these.
 

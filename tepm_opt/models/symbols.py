@@ -74,7 +74,7 @@ class Writer:
         pressure, tension = self.actuators(u[:half]), self.actuators(u[half:])
         for kind, own, context in self.effects:
             pressure, tension = kind.inputs(pressure, tension, own, context)
-            pressure = pressure + summed(kind.pressure_begun(ca.repmat(pressure, kind.branches, 1), own, context), kind.branches)
+            pressure = pressure + sum_blocks(kind.pressure_begun(ca.repmat(pressure, kind.branches, 1), own, context), kind.branches)
         return u, ca.vertcat(ca.vec(pressure.T), ca.vec(tension.T))
 
     def properties(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
@@ -233,8 +233,8 @@ class PointForce:
     damping: ca.SX
 
 
-def summed(blocks: ca.SX, count: int) -> ca.SX:
-    """Sum of as many blocks of rows, which are below each other."""
+def sum_blocks(blocks: ca.SX, count: int) -> ca.SX:
+    """Sum as many blocks of rows, which are below each other."""
     return sum(ca.vertsplit(blocks, blocks.shape[0] // count), start=ca.SX(0))
 
 

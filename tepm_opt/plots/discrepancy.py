@@ -38,7 +38,7 @@ SHOWN = 20  # candidates shown of the evidence
 
 def discovery_figures(result: Discovery) -> dict[str, Figure]:
     """All figures of an answer by the names that its page gives them; "evidence" only where something was fitted."""
-    seen, verdict, place, unit = compared(result), result.verdict, result.localisation, result.verdict.unit
+    seen, verdict, place, unit = select_comparison(result), result.verdict, result.localisation, result.verdict.unit
     by_point = {name: _rms_by_point([run.points for run in seen.runs], points) for name, points in seen.predictions.items()}
     errors = {name.replace("_", " "): value for name, value in vars(verdict.errors).items()}
     data, lines = seen.data, (seen.runs, seen.predictions)
@@ -81,15 +81,15 @@ class Compared:
     unit: str
 
 
-def compared(result: Discovery) -> Compared:
-    """The validation runs, or the fit runs where there are no others, and what every model says of them."""
+def select_comparison(result: Discovery) -> Compared:
+    """Select the validation runs, or the fit runs where there are no others, with every model's predictions of them."""
     result = _comparable(result)
     runs = result.dataset.validation or result.dataset.runs
     at = [result.dataset.runs.index(run) for run in runs]
     predictions = {name: [points[k] for k in at] for name, points in result.predictions.items()}
     of = "tip" if runs[0].points.shape[-1] > 1 else result.localisation.points[-1]
     data = "validation runs" if result.dataset.validation else "fit runs"
-    return Compared(*_joined(runs, predictions), data, of, result.verdict.errors.noise_floor, result.verdict.unit)
+    return Compared(*_join_equilibria(runs, predictions), data, of, result.verdict.errors.noise_floor, result.verdict.unit)
 
 
 def _comparable(result: Discovery) -> Discovery:
@@ -102,7 +102,7 @@ def _comparable(result: Discovery) -> Discovery:
     return replace(result, dataset=runs, predictions=predictions, noise=1.0)
 
 
-def _joined(runs: Sequence[Run], predictions: Predictions) -> tuple[Sequence[Run], Predictions]:
+def _join_equilibria(runs: Sequence[Run], predictions: Predictions) -> tuple[Sequence[Run], Predictions]:
     """Runs of a single equilibrium each as one of them all, a row each; others as they are."""
     if len(runs) < 2 or any(run.rows != 1 or np.isfinite(run.time).any() for run in runs):
         return runs, predictions

@@ -104,4 +104,4 @@ FIGURES: Mapping[type, Callable[[Any], Figures]] = {
     ImportRun: lambda run: {"import": preview_figure(run)},
     RoundsRun: lambda run: {"rounds": rounds_figure(run)},
 }
-"""What is drawn of the run of each job."""
+"""Function that draws the figures of a run, by the kind of run."""

@@ -60,7 +60,7 @@ def _matrix_axes(figure: Figure, axes: Axes, run: GainRun) -> None:
     if first is None:
         axes.set_axis_off()
         return
-    matrix = 1e3 * first.normalised()
+    matrix = 1e3 * first.normalise()
     span = np.abs(matrix).max()
     image = axes.imshow(matrix, cmap="RdBu_r", vmin=-span, vmax=span, aspect="auto")
     names = first.equilibrium.model.layout.actuator_names

@@ -115,7 +115,7 @@ def bode_figure(system: System, title: str, count: int = 500) -> Figure:
             response = size * values[:, k, column]
             style = _style(system, k)
             amplitude.loglog(frequencies, np.abs(response), **style)
-            phase.semilogx(frequencies, np.rad2deg(_unwrapped(response)), **style)
+            phase.semilogx(frequencies, np.rad2deg(_unwrap_phase(response)), **style)
         amplitude.set_title(f"by {name}")
         amplitude.set_ylabel(f"amplitude in mm/{unit}")
         phase.set_ylabel("phase in degrees")
@@ -125,7 +125,7 @@ def bode_figure(system: System, title: str, count: int = 500) -> Figure:
     return figure
 
 
-def _unwrapped(response: np.ndarray) -> np.ndarray:
+def _unwrap_phase(response: np.ndarray) -> np.ndarray:
     """Phase in rad without jumps, starting at 0 … -180° (a negative gain is a lag of 180°)."""
     phase = np.unwrap(np.angle(response))
     return phase - 2 * np.pi * np.ceil((phase[0] - 0.1) / (2 * np.pi))

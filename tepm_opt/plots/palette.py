@@ -1,4 +1,4 @@
-"""What each colour means, the same in every figure and page; a line style or a marker says it again without colour.
+"""Colours by meaning, the same in every figure and page; a line style or a marker says it again without colour.
 
 Roles that meet in one panel (`TOGETHER`) stay apart for readers who do not see green (deuteranopia) and on a grey printer: a test holds
 them to that. Every colour has a contrast of 3 and more against white.
@@ -71,7 +71,7 @@ CONTROLLERS: Mapping[str, Role] = {
     "mode1": Role("#ae8d4e", "-.", "^"),
 }
 OWN_CONTROLLER = Role("#2f6b00", "-", "v")
-"""Of controllers that are not the package's own."""
+"""Style of controllers that are not the package's own."""
 
 ACTUATORS = ("#714201", "#0b72a5", "#bd7798", "#123e01", "#907d07", "#655394")
 LINES, MARKERS = ("-", "--", ":", "-."), ("o", "s", "^", "D")

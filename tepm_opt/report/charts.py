@@ -13,7 +13,15 @@ from tepm_opt.data.setpoints import AXES
 from tepm_opt.discrepancy.state import Discovery
 from tepm_opt.jobs.closed_loop import ClosedLoop
 from tepm_opt.jobs.ik import IkRun
-from tepm_opt.plots.discrepancy import SMALLEST_SPAN, SPREAD, choose_horizontal_axis, compared, error_name, most_corrected, unit_shown
+from tepm_opt.plots.discrepancy import (
+    SMALLEST_SPAN,
+    SPREAD,
+    choose_horizontal_axis,
+    error_name,
+    most_corrected,
+    select_comparison,
+    unit_shown,
+)
 from tepm_opt.plots.figure import backbone_mm
 from tepm_opt.plots.palette import GOOD, MEASURED, MODELS, NOISE, ROBOT, TARGET, Role, controller
 
@@ -116,7 +124,7 @@ class Arms:
 
     def data(self) -> dict[str, Any]:
         """Convert it to plain data for the script."""
-        arms = [[_plain(place) for place in arm[_spaced(len(arm), PLACES)]] for arm in self.backbones]
+        arms = [[_plain(place) for place in arm[_space_rows(len(arm), PLACES)]] for arm in self.backbones]
         roles = {name: {"color": role.color, "line": role.line} for name, role in (("robot", ROBOT), ("target", TARGET), ("reached", GOOD))}
         return {"alt": self.alt, "arms": arms, "targets": [_plain(target) for target in self.targets], **roles}
 
@@ -149,7 +157,7 @@ def distance_chart(loops: Mapping[str, ClosedLoop]) -> dict[str, Chart]:
 
 def discovery_charts(result: Discovery) -> dict[str, Chart]:
     """Errors over time of every model on every run, and the tip, measured and modelled, where correction matters most."""
-    seen = compared(result)
+    seen = select_comparison(result)
     factor, shown = unit_shown(seen.unit)
     floor, panels = factor * seen.floor, []
     for k, run in enumerate(seen.runs):
@@ -192,7 +200,7 @@ def _plain(values: np.ndarray) -> list[float | None]:
     return [float(f"{value:.5g}") if np.isfinite(value) else None for value in values]
 
 
-def _spaced(count: int, most: int) -> np.ndarray:
+def _space_rows(count: int, most: int) -> np.ndarray:
     """Rows so that no more than these are left, the first and last among them."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
 

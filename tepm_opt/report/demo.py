@@ -10,7 +10,7 @@ from tepm_opt.control.controllers import DEFAULT
 from tepm_opt.jobs.demo import NAMES, DemoRun
 from tepm_opt.models.model import Model
 from tepm_opt.report.charts import distance_chart, robot_chart
-from tepm_opt.report.template import Group, Row, digits, sized, symbol, write
+from tepm_opt.report.template import Group, Row, digits, format_quantity, symbol, write
 
 
 def write_page(path: str | Path, run: DemoRun, figures: Mapping[str, Path]) -> None:
@@ -53,11 +53,11 @@ def _verdict(run: DemoRun, hybrid: Mapping[str, Any], loops: Mapping[str, Mappin
     """Sum the run up in sentences for the top of the page, the most important one first."""
     solved = f"{hybrid['solved']} of {hybrid['points']} points of the path are solved"
     if hybrid["solved"]:
-        missed = sized(hybrid["largest_rounded_tip_error_m"], "m")
+        missed = format_quantity(hybrid["largest_rounded_tip_error_m"], "m")
         solved += f"; on the actuators' grids set points of pressure and tension miss them by {missed} at most"
     if not loops:
         return [f"{solved}.", f"No closed loop: {run.note}."]
-    best, *others = [(name, sized(_error(loop, "rms_m") or float("nan"), "m")) for name, loop in loops.items()]
+    best, *others = [(name, format_quantity(_error(loop, "rms_m") or float("nan"), "m")) for name, loop in loops.items()]
     rest = ", ".join(f"{error} in {name}" for name, error in others)
     said = f"With the {best[0]} the simulated robot's tip stays within {best[1]} rms of its moving target" + (
         f" ({rest})." if rest else "."

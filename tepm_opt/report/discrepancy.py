@@ -59,7 +59,7 @@ def write_discrepancy_page(
         sentences=sentences_beside_table(verdict),
         groups=[_errors(verdict)],
         status=verdict.status.value,
-        heading=heading(verdict.status, len(verdict.effects)),
+        heading=summarise_verdict(verdict.status, len(verdict.effects)),
         localisation=localisation,
         places=localisation.places[: localisation.telling],
         rivals=verdict.rivals[:RIVALS],
@@ -67,7 +67,7 @@ def write_discrepancy_page(
     )  # fmt: skip
 
 
-def heading(status: VerdictStatus, effects: int) -> str:
+def summarise_verdict(status: VerdictStatus, effects: int) -> str:
     """Sum a verdict up in a line.
 
     Args:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from tepm_opt.discrepancy.assessment.result import VerdictStatus
 from tepm_opt.jobs.model_update import ModelUpdate
-from tepm_opt.report.discrepancy import error_rows, heading
+from tepm_opt.report.discrepancy import error_rows, summarise_verdict
 from tepm_opt.report.template import Group, Row, digits, write
 
 
@@ -35,6 +35,6 @@ def write_model_update_page(path: str | Path, done: ModelUpdate) -> None:
         summary=summary,
         groups=groups,
         status=status.value,
-        heading=heading(status, len(last["effects"])),
+        heading=summarise_verdict(status, len(last["effects"])),
         paragraph=last["paragraph"],
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""What all pages share: the template, the table of figures, pictures, how numbers are written. A page is one file, asks for nothing."""
+"""Shared parts of all pages: template, table of figures, pictures, form of numbers. A page is one file and loads nothing."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def write(
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("tepm_opt"), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.filters |= {"sized": sized, "percent": percent, "spread": _spread, "size": _size, "with_unit": with_unit}
+    environment.filters |= {"sized": format_quantity, "percent": percent, "spread": _spread, "size": _size, "with_unit": with_unit}
     drawn = charts or {}
     images = {name: Picture.from_figure(figure) for name, figure in (figures or {}).items() if name not in drawn}
     page = environment.get_template(template).render(images=images, charts=drawn, version=version("tepm-opt"), **values)
@@ -109,7 +109,7 @@ def digits(value: float | None, factor: float = 1.0, form: str = "#.3g") -> str:
     return format(factor * value, ".0f" if whole else form).rstrip(".")
 
 
-def sized(value: float, unit: str) -> str:
+def format_quantity(value: float, unit: str) -> str:
     """A value with three digits and its unit, lengths in mm; a dash where there is none."""
     text, shown = (digits(value, 1e3), "mm") if unit == "m" else (digits(value), unit)
     return text if text == "–" else f"{text} {shown}"

@@ -15,6 +15,7 @@ from tepm_opt.models.backends.interface import Status
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.layout import Layout
 from tepm_opt.progress import Progress, silent, track
+from tepm_opt.renamed import RenamedMethod
 from tepm_opt.solvers.choices import ActuationMode
 from tepm_opt.solvers.kinematics import Configuration, each_configuration
 from tepm_opt.solvers.parallel import each_done
@@ -56,15 +57,17 @@ class Gain:
         ]
         return html_table(("inputs", "singular values in mm", "condition", "manipulability in mm³"), rows)
 
-    def normalised(self, actuation: Actuation = "both") -> np.ndarray:
-        """Columns times their input's range (Fig. 11's dimensionless inputs), in m; all columns or one actuation's."""
+    def normalise(self, actuation: Actuation = "both") -> np.ndarray:
+        """Scale columns by their input's range (Fig. 11's dimensionless inputs), in m; all columns or one actuation's."""
         scaled = self.matrix * self.equilibrium.model.input_max
         half = scaled.shape[1] // 2
         return {"pressure": scaled[:, :half], "tension": scaled[:, half:], "both": scaled}[actuation]
 
+    normalised = RenamedMethod("normalise")
+
     def singular_values(self, actuation: Actuation = "both") -> np.ndarray:
         """Singular values (3,) of the normalised gain in m, largest first."""
-        return np.linalg.svd(self.normalised(actuation), compute_uv=False)
+        return np.linalg.svd(self.normalise(actuation), compute_uv=False)
 
     def condition(self, actuation: Actuation = "both") -> float:
         """Largest over smallest singular value; infinite where a direction cannot be driven."""
@@ -158,7 +161,7 @@ def input_curve(
         inputs[at] = part * model.input_max[at]
         last = solve_statics(model, inputs, start=last)
         tips.append(last.tip)
-        slopes.append(solve_gain(last).normalised()[:, at])
+        slopes.append(solve_gain(last).normalise()[:, at])
     return Curve(parts, np.array(tips), np.array(slopes))
 
 

@@ -40,7 +40,7 @@ def with_spreads(problem: Problem, found: dict[str, float]) -> Problem:
     return replace(problem, free=tuple(spread(free) for free in problem.free))
 
 
-def clustering(estimate: ParameterEstimate, clusters: int, names: Collection[str]) -> list[float]:
+def compute_clustering_chances(estimate: ParameterEstimate, clusters: int, names: Collection[str]) -> list[float]:
     """Chance that members of a group, if they scatter about one mean, differ as much between clusters; one for every group.
 
     Fisher's F over the members' scatter within clusters, with what is not known of them; members of a cluster stand side by side.

@@ -14,7 +14,7 @@ from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.least_squares import bounded_step
 from tepm_opt.solvers.plant import Plant, PredictionError
 from tepm_opt.solvers.problem import Problem
-from tepm_opt.solvers.residuals import Residual, normal_equations, weighted
+from tepm_opt.solvers.residuals import Residual, apply_weights, normal_equations
 from tepm_opt.solvers.text import html_table
 
 ITERATIONS = 15
@@ -259,7 +259,7 @@ def _covariance(problem: Problem, residuals: list[Residual], weights: list[np.nd
         known, known_scores = np.where(told, shared, known), np.where(told, problem.joint.weight * shared, known)
     square, meat = np.zeros((count, count)), np.zeros((count, count))
     for r, w in zip(residuals, weights, strict=True):
-        values, by = weighted(r, w)
+        values, by = apply_weights(r, w)
         rows = len(r.values)
         square += by.T @ by
         scores = np.stack([np.bincount(r.block, (slope * values).reshape(rows, -1).sum(axis=1)) for slope in by.T], axis=1)

@@ -16,7 +16,7 @@ from tepm_opt.models.layout import Layout
 from tepm_opt.outcome import Ending
 from tepm_opt.renamed import RenamedMethod
 from tepm_opt.solvers.statics import Equilibrium
-from tepm_opt.solvers.text import shortened
+from tepm_opt.solvers.text import shorten
 
 if TYPE_CHECKING:
     import control
@@ -112,7 +112,7 @@ class System:
         part = self.select(inputs, outputs)
         A, B, C, D = part.A, part.B, part.C, part.D
         if pade and part.late.any():
-            A, B, C, D = _delayed(part, pade)
+            A, B, C, D = _append_delay(part, pade)
         B, D = (matrix * (part.ranges if scaled else 1.0) for matrix in (B, D))
         states = [*self.without_held_states().state_names, *_delay_names(part, pade)]
         return StateSpace(A, B, C, D, inputs=list(part.inputs), outputs=list(part.outputs), states=states, remove_useless_states=False)
@@ -142,7 +142,7 @@ class Linear(System):
 
     def __repr__(self) -> str:
         """The main numbers, in a line."""
-        return f"Linear({_size(self)}, {shortened(self.equilibrium.model.robot.name, 40)})"
+        return f"Linear({_size(self)}, {shorten(self.equilibrium.model.robot.name, 40)})"
 
     @property
     def state_names(self) -> tuple[str, ...]:
@@ -172,7 +172,7 @@ class Linear(System):
         _, rates, weights = np.linalg.svd(by_y.T) if len(by_y) else (by_y, np.zeros(0), by_y)
         kept = weights[rates < FORGETS]  # weights @ y' = weights @ by_v @ v, so weights @ (y - by_v @ x) stays as it is
         kept = kept[~(abs(kept @ self.B[2 * size :]) > FORGETS).any(axis=1)]  # but for those that integrate an input
-        which = np.sort(leading(kept, len(kept)))
+        which = np.sort(choose_independent_columns(kept, len(kept)))
         kept = np.linalg.solve(kept[:, which], kept)  # now every row says of one state y what it follows
         held = np.zeros(len(self.A), dtype=bool)
         held[2 * size + which] = True
@@ -262,7 +262,7 @@ def _inputs(equilibrium: Equilibrium, actuators: bool, rising: bool) -> tuple[np
     return (by_y[reached] - np.eye(by_y.shape[1])) / MOMENT, by_rate[reached] / MOMENT, by_y[:count], by_u[:count]
 
 
-def _delayed(system: System, order: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _append_delay(system: System, order: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Matrices with a Padé approximation of exp(-delay s) before every late input."""
     from control import pade
     from scipy.signal import tf2ss
@@ -285,7 +285,7 @@ def _state_names(layout: Layout, edges: int, inputs: int) -> list[str]:
 
 
 def _delay_names(system: System, order: int) -> list[str]:
-    """Names of the states of `_delayed`."""
+    """Names of the states of `_append_delay`."""
     late = [name for name, is_late in zip(system.inputs, system.late, strict=True) if is_late]
     return [f"delay_{name}_{k + 1}" for name in late for k in range(order)]
 
@@ -311,7 +311,7 @@ def _find(kind: str, wanted: Names, names: Sequence[str]) -> list[int]:
     return found
 
 
-def leading(rows: np.ndarray, count: int) -> np.ndarray:
-    """Columns of a matrix that are independent of each other, the clearest first, (count,)."""
+def choose_independent_columns(rows: np.ndarray, count: int) -> np.ndarray:
+    """Choose columns of a matrix that are independent of each other, the clearest first, (count,)."""
     pivots = np.asarray(sla.qr(rows, mode="r", pivoting=True)[-1]) if count else np.zeros(0)
     return pivots[:count].astype(int)

@@ -20,6 +20,7 @@ import scipy.linalg as sla
 from tepm_opt.errors import InputError
 from tepm_opt.models.backends.interface import GUARDS, MODES
 from tepm_opt.models.compile import CompiledModel
+from tepm_opt.renamed import RenamedMethod
 from tepm_opt.solvers.statics import Equilibrium
 
 NEAR = 0.03  # residual of a mode, of its stiffness, at which subspace iteration ends; frequencies err by its square
@@ -77,9 +78,11 @@ class ModalModel:
         """Free levels at the equilibrium in the base frame, (coordinates,) in m."""
         return self.equilibrium.x[1:].ravel()
 
-    def damped(self, factor: float) -> ModalModel:
-        """The same with a multiple of its damping."""
+    def scale_damping(self, factor: float) -> ModalModel:
+        """Scale the damping by a factor."""
         return replace(self, damping=factor * self.damping)
+
+    damped = RenamedMethod("scale_damping")
 
     def static(self, forces: np.ndarray) -> np.ndarray:
         """q at rest under changes of the axial forces (modules · actuators,) in N."""
@@ -113,7 +116,7 @@ def modal_model(at: Equilibrium, start: ModalModel | None = None, modes: int = M
         raise InputError("no stable equilibrium to linearise about: its stiffness matrix has a negative eigenvalue")
     axial = fixed.axial(at)
     settled = _solve(factor, axial, lower=1)[0]
-    found = None if start is None else _iterated(factor, fixed.masses, start.basis, modes)
+    found = None if start is None else _iterate_subspace(factor, fixed.masses, start.basis, modes)
     values, basis = found or _exact(stiffness, fixed.masses, min(modes + GUARDS, most))
     shapes = basis[:, :modes]
     return ModalModel(
@@ -121,7 +124,7 @@ def modal_model(at: Equilibrium, start: ModalModel | None = None, modes: int = M
         basis=basis,
         weights=shapes.T * fixed.masses,
         stiffness=values[:modes],
-        damping=_projected(damping, shapes),
+        damping=_project(damping, shapes),
         drive=shapes.T @ axial,
         observe=fixed.observe @ shapes,
         gain=fixed.observe @ settled,
@@ -191,7 +194,7 @@ def _exact(stiffness: np.ndarray, masses: np.ndarray, count: int) -> tuple[np.nd
     return values, vectors / root[:, None]
 
 
-def _iterated(factor: np.ndarray, masses: np.ndarray, basis: np.ndarray, modes: int) -> tuple[np.ndarray, np.ndarray] | None:
+def _iterate_subspace(factor: np.ndarray, masses: np.ndarray, basis: np.ndarray, modes: int) -> tuple[np.ndarray, np.ndarray] | None:
     """The same by subspace iteration from a basis with basisᵀ M basis = 1; None where it does not converge.
 
     The residual of a mode K φ - ω² M φ is, in the norm of 1/M, √(|c|² - ω⁴), c its coordinates in the basis before the sweep.
@@ -217,7 +220,7 @@ def _upper(band: np.ndarray) -> np.ndarray:
     return half.reshape(-1)[: n * n].reshape(n, n)
 
 
-def _projected(band: np.ndarray, shapes: np.ndarray) -> np.ndarray:
+def _project(band: np.ndarray, shapes: np.ndarray) -> np.ndarray:
     """shapesᵀ A shapes of a symmetric matrix A in lower banded storage."""
     half = shapes.T @ (_upper(band) @ shapes)
     return half + half.T - (shapes.T * band[0]) @ shapes

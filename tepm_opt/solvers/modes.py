@@ -8,9 +8,9 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import brentq
 
-from tepm_opt.solvers.linear import Linear, leading
+from tepm_opt.solvers.linear import Linear, choose_independent_columns
 from tepm_opt.solvers.statics import Equilibrium
-from tepm_opt.solvers.text import shortened
+from tepm_opt.solvers.text import shorten
 
 SAME = 1e-6  # relative: eigenvalues nearer to each other belong together
 STILL = 1e-9  # relative: displacements and frequencies below it are rounding errors
@@ -34,7 +34,7 @@ def state_matrix(equilibrium: Equilibrium) -> np.ndarray:
     """
     model, P = equilibrium.model, equilibrium.properties
     stiffness = full(model.reference.assemble(equilibrium.x, P, model.theta).band)
-    damping = full(model.reference.damping(equilibrium.x, P, model.theta))
+    damping = full(model.reference.assemble_damping(equilibrium.x, P, model.theta))
     mass = np.repeat(P[:, model.network.property_rows["mass"]].ravel(), model.layout.block)
     zero, one = np.zeros_like(stiffness), np.eye(len(mass))
     return np.block([[zero, one], [-stiffness / mass[:, None], -damping / mass[:, None]]])
@@ -82,7 +82,7 @@ class Mode:
     def __repr__(self) -> str:
         """The main numbers, in a line."""
         motion = f"{self.frequency:.4g} Hz, damping {self.damping:.3g}" if self.oscillates else f"{self.time_constant:.4g} s"
-        return f"Mode({motion}, {shortened(self.words, 60)})"
+        return f"Mode({motion}, {shorten(self.words, 60)})"
 
     @property
     def oscillates(self) -> bool:
@@ -158,7 +158,7 @@ def modes(linear: Linear) -> tuple[Mode, ...]:
     for k in order:
         near = groups[-1:] and abs(values[groups[-1][0]] - values[k]) < SAME * abs(values[k])
         groups[-1].append(k) if near else groups.append([k])
-    shaped = [_shaped(moving, vectors[:, group]) for group in groups]
+    shaped = [_normalise_eigenvectors(moving, vectors[:, group]) for group in groups]
     right = np.hstack(shaped)
     swings = np.array([np.imag(values[k]) > 0 for group in groups for k in group])
     left = np.linalg.inv(np.hstack([right, right[:, swings].conj()]))[: right.shape[1]]
@@ -166,7 +166,7 @@ def modes(linear: Linear) -> tuple[Mode, ...]:
     return tuple(Mode(moving, complex(values[k]), right[:, i], left[i], count) for i, (k, count) in enumerate(members))
 
 
-def _shaped(linear: Linear, vectors: np.ndarray) -> np.ndarray:
+def _normalise_eigenvectors(linear: Linear, vectors: np.ndarray) -> np.ndarray:
     """Eigenvectors (states, multiplicity) of one eigenvalue, chosen and normalised as `Mode` says."""
     size, count = linear.coordinates, vectors.shape[1]
     x, y = vectors[:size], vectors[2 * size :]
@@ -176,7 +176,7 @@ def _shaped(linear: Linear, vectors: np.ndarray) -> np.ndarray:
         turned = np.linalg.eigh(part.conj().T @ (along * part))[1]
         vectors = vectors @ np.linalg.lstsq(x, part @ turned, rcond=None)[0]
     elif count > 1 and len(y) and _independent(y):
-        vectors = vectors @ np.linalg.inv(y[np.sort(leading(y.T, count))])  # an internal state each
+        vectors = vectors @ np.linalg.inv(y[np.sort(choose_independent_columns(y.T, count))])  # an internal state each
     vectors = vectors * np.exp(-0.5j * np.angle(np.sum(vectors[:size] ** 2, axis=0)))
     x = np.real(vectors[:size])
     farthest = np.linalg.norm(x.reshape(-1, 3, count), axis=1).max(axis=0)

@@ -56,14 +56,14 @@ def in_parallel(
         return [work(item) for item in items]
     stop = _interrupted.get() or threading.Event()
 
-    def worked(item: Item) -> Result:
+    def work_interruptibly(item: Item) -> Result:
         _interrupted.set(stop)
         return work(item)
 
     order = sorted(range(len(items)), key=lambda k: -size(items[k])) if size else range(len(items))
     pool = ThreadPoolExecutor(workers)
     try:
-        futures = {k: pool.submit(copy_context().run, worked, items[k]) for k in order}
+        futures = {k: pool.submit(copy_context().run, work_interruptibly, items[k]) for k in order}
         return [futures[k].result() for k in range(len(items))]
     except KeyboardInterrupt:
         stop.set()

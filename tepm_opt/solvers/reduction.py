@@ -41,7 +41,7 @@ class Reduced(System):
         return f"Reduced({self.method}, {size}, within {1e3 * self.bound:.3g} mm per range)"
 
 
-def balanced(
+def balanced_reduction(
     linear: System, order: int | None = None, tolerance: float | None = None, inputs: Names = None, outputs: Names = None,
     exact_gain: bool = True,
 ) -> Reduced:  # fmt: skip
@@ -61,7 +61,7 @@ def balanced(
     system = linear.select(inputs, outputs)
     _check_stable(system)
     if (order is None) == (tolerance is None):
-        raise InputError("balanced: give either an order or a tolerance")
+        raise InputError("balanced_reduction: give either an order or a tolerance")
     hankel, left, right = _balance(system)
     tails = 2 * np.append(np.cumsum(hankel[::-1])[::-1], 0.0)
     bounds = tails + ROUNDING * hankel[0]  # by order
@@ -77,7 +77,7 @@ def balanced(
         D = system.gain() + C @ np.linalg.solve(A, B)
     if np.linalg.eigvals(A[:order, :order]).real.max() >= 0:  # possible only between equal Hankel singular values
         raise InputError(f"order: {order} leaves one of two equal Hankel singular values out and is unstable; valid: {order + 1}")
-    return _reduced(system, (A[:order, :order], B[:order], C[:, :order], D), "balanced", bounds[order], hankel)
+    return _assemble_reduced(system, (A[:order, :order], B[:order], C[:, :order], D), "balanced", bounds[order], hankel)
 
 
 def modal(linear: Linear, below: float, inputs: Names = None, outputs: Names = None) -> Reduced:
@@ -109,7 +109,7 @@ def modal(linear: Linear, below: float, inputs: Names = None, outputs: Names = N
         A=A, B=B, C=C, D=np.zeros_like(system.D), inputs=system.inputs, outputs=system.outputs, ranges=system.ranges, delay=0.0
     )  # fmt: skip
     hankel = _balance(rest)[0]
-    return _reduced(system, (*part[True], system.D + rest.gain()), "modal", 2 * hankel.sum() + ROUNDING * hankel[0], hankel)
+    return _assemble_reduced(system, (*part[True], system.D + rest.gain()), "modal", 2 * hankel.sum() + ROUNDING * hankel[0], hankel)
 
 
 def difference(system: System, reduced: System, frequencies: Sequence[float] | np.ndarray) -> np.ndarray:
@@ -162,7 +162,7 @@ def _residual(A: np.ndarray, B: np.ndarray, C: np.ndarray, order: int) -> tuple[
     return A[kept, kept] + across @ by_kept, B[kept] + across @ by_input, C[:, kept] + C[:, fast] @ by_kept
 
 
-def _reduced(system: System, matrices: Sequence[np.ndarray], method: str, bound: float, hankel: np.ndarray) -> Reduced:
+def _assemble_reduced(system: System, matrices: Sequence[np.ndarray], method: str, bound: float, hankel: np.ndarray) -> Reduced:
     A, B, C, D = matrices
     return Reduced(
         A=A, B=B, C=C, D=D, inputs=system.inputs, outputs=system.outputs, ranges=system.ranges, delay=system.delay,

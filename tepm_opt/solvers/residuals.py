@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tepm_opt.data.run import Run
-from tepm_opt.solvers.text import shortened
+from tepm_opt.solvers.text import shorten
 
 BLOCK = 1.0  # s; residuals further apart than this count as independent
 
@@ -33,7 +33,7 @@ class Residual:
 
     def __repr__(self) -> str:
         """The main numbers, in a line."""
-        return f"Residual({shortened(self.file, 40)}, {self.count} coordinates, mean square {self.squares / max(self.count, 1):.3g})"
+        return f"Residual({shorten(self.file, 40)}, {self.count} coordinates, mean square {self.squares / max(self.count, 1):.3g})"
 
     @staticmethod
     def from_prediction(
@@ -114,8 +114,8 @@ def _make_interpolator(time: np.ndarray, at: np.ndarray) -> Callable[[np.ndarray
     return lambda values: values[left] * (1 - part) + values[left + 1] * part
 
 
-def weighted(residual: Residual, weights: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    """Values (coordinates,) and derivatives (coordinates, parameters) times square roots of weights; None for all 1."""
+def apply_weights(residual: Residual, weights: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """Scale values (coordinates,) and derivatives (coordinates, parameters) by square roots of weights; None for all 1."""
     values = residual.values.ravel()
     return (values, residual.by) if weights is None else (values * weights.ravel(), residual.by * weights.reshape(-1, 1))
 
@@ -125,7 +125,7 @@ def normal_equations(residuals: Sequence[Residual], weights: Sequence[np.ndarray
     count = residuals[0].by.shape[1] if residuals else 0
     square, slope = np.zeros((count, count)), np.zeros(count)
     for r, w in zip(residuals, weights or [None] * len(residuals), strict=True):
-        values, by = weighted(r, w)
+        values, by = apply_weights(r, w)
         square += by.T @ by
         slope += by.T @ values
     return square, slope

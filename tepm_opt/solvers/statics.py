@@ -175,7 +175,7 @@ def equilibrium(
     found = _newton(model, case, model.rest if start is None else start.x, settings)
     if not found.solved and start is not None:
         found = _newton(model, case, model.rest, settings)
-    return found if found.solved or not explain else _continued(found, settings)
+    return found if found.solved or not explain else _follow_branch(found, settings)
 
 
 def without_inputs(model: CompiledModel, inputs: np.ndarray, loads: np.ndarray) -> Equilibrium:
@@ -256,7 +256,7 @@ def _newton(model: CompiledModel, case: LoadCase, x: np.ndarray, settings: Stati
     return Equilibrium(model, case.u, loads, solution.x, points, lengths, outcome, steps, solution.residual, mapped=case.mapped)
 
 
-def _continued(failed: Equilibrium, settings: StaticsSettings) -> Equilibrium:
+def _follow_branch(failed: Equilibrium, settings: StaticsSettings) -> Equilibrium:
     """Follow the branch from rest by scaling inputs and loads from 0 to 1; how far it goes where it does not reach 1."""
     model, case = failed.model, failed.load_case
     last = _newton(model, case._replace(u=0 * case.u, external=0 * case.external), model.rest, settings)

@@ -48,8 +48,8 @@ def format_names(names: Sequence[str], most: int = 4) -> str:
     return ", ".join(names) if len(names) <= most else f"{', '.join(names[: most - 1])} and {len(names) - most + 1} more"
 
 
-def shortened(text: str, length: int) -> str:
-    """A text of at most so many characters, with an ellipsis where something is missing."""
+def shorten(text: str, length: int) -> str:
+    """Shorten a text to at most so many characters, with an ellipsis where something is missing."""
     return text if len(text) <= length else f"{text[: length - 1]}…"
 
 

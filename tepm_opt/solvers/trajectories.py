@@ -15,6 +15,7 @@ import numpy as np
 from tepm_opt.data.sizes import FARTHEST, METRES
 from tepm_opt.data.tables import read_table
 from tepm_opt.errors import InputError
+from tepm_opt.renamed import RenamedMethod
 
 MOST_POINTS = 100_000
 POSITION_COLUMNS = (("x", "x_m"), ("y", "y_m"), ("z", "z_m"))
@@ -37,8 +38,8 @@ class Trajectory:
     closed: bool = False
     says: str = ""
 
-    def resampled(self, points: int) -> Trajectory:
-        """The same path at `points` equally spaced times, by monotone cubic interpolation (PCHIP, Fritsch and Carlson 1980).
+    def resample(self, points: int) -> Trajectory:
+        """Resample the path to `points` equally spaced times, by monotone cubic interpolation (PCHIP, Fritsch and Carlson 1980).
 
         Raises:
             InputError: fewer than 1 point asked for, or fewer than 2 to interpolate between.
@@ -53,6 +54,8 @@ class Trajectory:
 
         at = np.linspace(time[0], time[-1], points + 1 if self.closed else points)[:points]
         return Trajectory(at, PchipInterpolator(time, positions)(at), self.closed, self.says)
+
+    resampled = RenamedMethod("resample")
 
 
 def check_count(points: int) -> None:
@@ -130,11 +133,11 @@ Make = TypeVar("Make", bound=Callable[..., Trajectory])
 def shape(*parameters: ShapeParameter) -> Callable[[Make], Make]:
     """Offer the function below to the commands, under its own name and with these parameters."""
 
-    def offered(make: Make) -> Make:
+    def register(make: Make) -> Make:
         SHAPES[make.__name__] = Shape(make.__name__, make, parameters)
         return make
 
-    return offered
+    return register
 
 
 def shape_parameters() -> dict[str, tuple[ShapeParameter, tuple[str, ...]]]:
@@ -147,7 +150,7 @@ def shape_parameters() -> dict[str, tuple[ShapeParameter, tuple[str, ...]]]:
     return found
 
 
-def _closed(curve: np.ndarray, duration: float) -> Trajectory:
+def _close_curve(curve: np.ndarray, duration: float) -> Trajectory:
     return Trajectory(duration * np.arange(len(curve)) / len(curve), curve, closed=True)
 
 
@@ -166,7 +169,7 @@ def circle(points: int = 32, duration: float = 8.0, radius: float = 0.150, heigh
     """
     check_count(points)
     angle = 2 * np.pi * np.arange(points) / points
-    return _closed(np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(points, height)], axis=1), duration)
+    return _close_curve(np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(points, height)], axis=1), duration)
 
 
 @shape(RADIUS, HEIGHT)
@@ -184,7 +187,7 @@ def lissajous(points: int = 64, duration: float = 6.0, radius: float = 0.120, he
     """
     check_count(points)
     angle = 2 * np.pi * np.arange(points) / points
-    return _closed(np.stack([radius * np.sin(angle), radius * np.sin(2 * angle), np.full(points, height)], axis=1), duration)
+    return _close_curve(np.stack([radius * np.sin(angle), radius * np.sin(2 * angle), np.full(points, height)], axis=1), duration)
 
 
 @shape(START, END)

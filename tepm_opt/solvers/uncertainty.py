@@ -68,7 +68,7 @@ def multi_start(
         free = tuple(replace(f, start=float(value)) for f, value in zip(problem.free, values, strict=True))
         tasks.append((k + 1, replace(problem, free=free)))
     if executor is None:
-        fits = (_try_fit(max_iterations, task, _numbered(progress, task[0], starts)) for task in tasks)
+        fits = (_try_fit(max_iterations, task, _number_progress(progress, task[0], starts)) for task in tasks)
     else:
         done = dict(track(each_done(partial(_try_fit, max_iterations), tasks, executor), progress, "fits", starts))
         fits = (done[number] for number in sorted(done))
@@ -95,7 +95,7 @@ def _try_fit(max_iterations: int, task: tuple[int, Problem], progress: Progress 
         return None
 
 
-def _numbered(progress: Progress, number: int, starts: int) -> Progress:
+def _number_progress(progress: Progress, number: int, starts: int) -> Progress:
     """Progress of one fit of several."""
     return progress if starts == 1 else lambda stage, done, of: progress(f"{stage} {number} of {starts}", done, of)
 

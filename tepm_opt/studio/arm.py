@@ -65,7 +65,7 @@ class OperatingPoint:
         """
         if self.gain is None:
             return None
-        directions, lengths, _ = np.linalg.svd(self.gain.normalised(kind))
+        directions, lengths, _ = np.linalg.svd(self.gain.normalise(kind))
         directions[:, 2] *= np.sign(np.linalg.det(directions))
         return share * lengths, directions
 

@@ -51,7 +51,7 @@ class ArmView:
             "/tip", scale=0.2 * model.robot.modules * model.values["L_0"], disable_rotations=True, depth_test=False,
             position=self.point.held.tip, visible=False,
         )  # fmt: skip
-        self._gizmo.on_update(self._dragged)
+        self._gizmo.on_update(self._follow_drag)
         self._controls(server.gui)
 
     def enter(self) -> None:
@@ -120,7 +120,7 @@ class ArmView:
                     found.append((first + actuator, gui.add_slider(label, 0.0, whole, whole / STEPS, 0.0, disabled=most == 0)))
         return found
 
-    def _dragged(self, event: viser.TransformControlsEvent) -> None:
+    def _follow_drag(self, event: viser.TransformControlsEvent) -> None:
         target = np.array(event.target.position, dtype=float)
         if self._on and event.client is not None:
             self._worker.ask("arm", lambda: self._seek(target))
@@ -168,7 +168,7 @@ class ArmView:
         if self._on and self._reach.value and mode not in self._boundaries:
             self._progress.visible = True
             try:
-                self._boundaries[mode] = boundary(self._model, mode, progress=self._searched)
+                self._boundaries[mode] = boundary(self._model, mode, progress=self._show_search_progress)
             except _Unwanted:
                 pass
             finally:
@@ -178,7 +178,7 @@ class ArmView:
         else:
             self._dome.visible = False
 
-    def _searched(self, stage: str, done: float, of: float) -> None:
+    def _show_search_progress(self, stage: str, done: float, of: float) -> None:
         if not (self._on and self._reach.value):
             raise _Unwanted
         self._progress.value = 100 * done / of

@@ -146,7 +146,7 @@ class FilmView:
         measured = shown.run.points[row]
         seen = np.isfinite(measured).all(axis=1)
         with self._server.atomic():
-            self._arm.show(shown.nodes[row], shown.used(row))
+            self._arm.show(shown.nodes[row], shown.scale_inputs(row))
             self._points.visible = bool(seen.any())
             if seen.any():
                 self._points.points = measured[seen].astype(np.float32)

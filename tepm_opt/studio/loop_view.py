@@ -121,8 +121,8 @@ class LoopView:
         try:
             trajectory = path_for(self._model, self._path.value)
             course = Course(laps=float(self._laps.value) if trajectory.closed else 1.0)
-            self.done = loop.run(trajectory, course, self._controller.value, self._prepared)
-            said = ending(self.done)
+            self.done = loop.run(trajectory, course, self._controller.value, self._show_preparation)
+            said = describe_ending(self.done)
         except Stopped as stop:
             said = str(stop)
         except (InputError, RuntimeError, OSError) as error:
@@ -130,7 +130,7 @@ class LoopView:
         self.loop = None
         self._worker.ask("loop ended", lambda: self._show_ending(said))
 
-    def _prepared(self, stage: str, done: float, of: float) -> None:
+    def _show_preparation(self, stage: str, done: float, of: float) -> None:
         if stage != "tracking":
             self._worker.ask("stage", lambda: setattr(self._words, "content", f"{stage}: {done:.0f} of {of:.0f}"))
 
@@ -160,7 +160,7 @@ class LoopView:
                 self._plot.data = (path.time, 1e3 * np.nan_to_num(path.errors))
 
 
-def ending(done: ClosedLoop) -> str:
+def describe_ending(done: ClosedLoop) -> str:
     """Describe the end of a loop as Markdown."""
     rms = done.rms(True)
     errors = f": true tip **{quantity(rms, 'm')}** rms where the path counts" if np.isfinite(rms) else ""

@@ -50,7 +50,7 @@ class Studio:
         self._server, gate = start(f"tepm studio · {model.robot.name}", port)
         self.address = gate.address
         prepare(self._server, model.robot)
-        self.worker, self.slow = Worker(self._failed), Worker(self._failed)
+        self.worker, self.slow = Worker(self._show_failure), Worker(self._show_failure)
         self._message = self._server.gui.add_markdown("", visible=False)
         names = [ArmView.name, LoopView.name]
         names = names if recordings is None else [FilmView.name, *names]
@@ -99,7 +99,7 @@ class Studio:
         """End the page."""
         self.close()
 
-    def _failed(self, error: Exception) -> None:
+    def _show_failure(self, error: Exception) -> None:
         """Show on the page in words why a task failed."""
         self._message.visible = True
         self._message.content = f"✗ {' '.join(str(error).split()) or type(error).__name__}"

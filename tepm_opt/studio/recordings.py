@@ -75,8 +75,8 @@ class Film:
         """The row that is shown at a time."""
         return int(np.clip(np.searchsorted(self.time, time + 1e-9, side="right") - 1, 0, len(self.time) - 1))
 
-    def used(self, row: int) -> np.ndarray:
-        """Inputs of a row over their ranges, (2 · modules · actuators,)."""
+    def scale_inputs(self, row: int) -> np.ndarray:
+        """Scale the inputs of a row by their ranges, (2 · modules · actuators,)."""
         return self.run.inputs[row] / self.model.input_max
 
     def arrows(self, row: int, magnified: float = 1.0) -> np.ndarray:

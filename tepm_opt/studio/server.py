@@ -33,7 +33,7 @@ POLICY = (
     "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; font-src 'self' data:; media-src data: blob:; "
     "connect-src 'self' data: blob: {websocket}; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
 )
-"""What the page may load: nothing that is not from here, whatever its scripts would like."""
+"""Content security policy of the page: it loads nothing that is not from here, whatever its scripts would like."""
 
 HIDDEN = (("Referrer-Policy", "no-referrer"), ("X-Content-Type-Options", "nosniff"), ("Cache-Control", "no-store"))
 
@@ -127,7 +127,7 @@ def start(title: str, port: int = 0) -> tuple[viser.ViserServer, Gate]:
             return None
 
     gate = Gate()
-    with _STARTING, _guarded(gate), contextlib.redirect_stdout(io.StringIO()):  # viser prints where it listens, without the token
+    with _STARTING, _guard_servers(gate), contextlib.redirect_stdout(io.StringIO()):  # viser prints where it listens, without the token
         server = LocalServer(host=HOST, port=port, label=title, verbose=False)
     gate.port = server.get_port()
     if (seen := _status_without_token(gate.port)) != http.HTTPStatus.FORBIDDEN:
@@ -145,14 +145,14 @@ def stop(server: viser.ViserServer) -> None:
 
 
 @contextlib.contextmanager
-def _guarded(gate: Gate) -> Iterator[None]:
-    """While it lasts, websockets' servers that are started are guarded by the gate."""
+def _guard_servers(gate: Gate) -> Iterator[None]:
+    """Guard websockets' servers that are started meanwhile by the gate."""
     import websockets.asyncio.server as served
 
     unguarded = served.serve
 
     def serve(*arguments: Any, process_request: Callable[..., Any] | None = None, **options: Any) -> Any:
-        return unguarded(*arguments, process_request=_checked(gate, process_request), **options)
+        return unguarded(*arguments, process_request=_check_requests(gate, process_request), **options)
 
     served.serve = serve  # type: ignore[assignment, misc]
     try:
@@ -161,8 +161,8 @@ def _guarded(gate: Gate) -> Iterator[None]:
         served.serve = unguarded  # type: ignore[misc]
 
 
-def _checked(gate: Gate, answer: Callable[..., Any] | None) -> Callable[..., Any]:
-    """Answers a request by `answer`, where the gate lets it pass."""
+def _check_requests(gate: Gate, answer: Callable[..., Any] | None) -> Callable[..., Any]:
+    """Answer requests by `answer`, where the gate lets them pass."""
     from websockets import Headers
     from websockets.http11 import Response
 

@@ -1,4 +1,4 @@
-"""What is drawn of an arm: lines in G in m with their colours, made from nodes; numbers only."""
+"""Lines that draw an arm, in G in m with their colours, made from nodes; numbers only."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the studio says beside the picture, as Markdown."""
+"""Text of the studio beside the picture, as Markdown."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far the tip reaches: the outer boundary of the equal-curvature workspace."""
+"""Reach of the tip: the outer boundary of the equal-curvature workspace."""
 
 from __future__ import annotations
 

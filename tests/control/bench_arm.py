@@ -9,7 +9,7 @@ import numpy as np
 
 from tepm_opt.control.estimation.kalman_filter import FilterSettings
 from tepm_opt.control.mpc.controller import MpcSettings
-from tepm_opt.control.references.reference import PERIOD, Reference, rising
+from tepm_opt.control.references.reference import PERIOD, Reference, minimum_jerk
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.hw.rig import Command, Sample, Simulated
 from tepm_opt.hw.simulation.bench import BenchRig
@@ -68,7 +68,7 @@ def length_reference(model: CompiledModel, lengths: np.ndarray, stay: float, mov
         move: time of the way there in s.
         period: control period in s.
     """
-    part = rising(period * np.arange(round(stay / period)) / move)
+    part = minimum_jerk(period * np.arange(round(stay / period)) / move)
     before = np.append(model.values["L_0"], lengths[:-1])
     course = np.concatenate([start + part * (end - start) for start, end in zip(before, lengths, strict=True)])
     forces = model.values["K_a"] * (course - model.values["L_0"])

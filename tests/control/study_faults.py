@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from tepm_opt.control.diagnostics.monitor import watched
+from tepm_opt.control.diagnostics.monitor import attach_monitor
 from tepm_opt.control.loop import close_loop
 from tepm_opt.control.mpc.controller import Mpc
 from tepm_opt.hw.rig import Sample
@@ -76,7 +76,7 @@ def driven(seed: int, machine: int, fault: str | None, noise: int = 1) -> Found:
         for name in sample.faults:
             told.setdefault(name, sample.time - AT)
 
-    done = close_loop(rig, watched(Mpc(model(), reference("circle")), model()), model().robot, observer=note)
+    done = close_loop(rig, attach_monitor(Mpc(model(), reference("circle")), model()), model().robot, observer=note)
     off, when = np.linalg.norm(np.array(done.truth) - done.targets, axis=1), np.array(done.time)
     later, earlier = off[when >= AT], off[(when >= APPROACH + PAUSE) & (when < AT)]
     doubted = any(row.doubts for row in done.telemetry)

@@ -12,7 +12,7 @@ import numpy as np
 
 from tepm_opt.control.collision.elastic_band import detour
 from tepm_opt.control.collision.geometry import ObstacleFile, Obstacles, SphereObstacle
-from tepm_opt.control.collision.model import KeepOut
+from tepm_opt.control.collision.model import CollisionModel
 from tepm_opt.control.loop import close_loop
 from tepm_opt.control.mpc.controller import Mpc
 from tepm_opt.control.references.reference import Reference, approach, reference_of
@@ -34,12 +34,12 @@ class Pushed(SimulatedRig):
         return super().read()
 
 
-def beside(*obstacles: SphereObstacle, margin: float = MARGIN) -> KeepOut:
+def beside(*obstacles: SphereObstacle, margin: float = MARGIN) -> CollisionModel:
     """Obstacles beside the nominal arm."""
-    return KeepOut(model(), Obstacles(ObstacleFile(margin_m=margin, spheres=obstacles)))
+    return CollisionModel(model(), Obstacles(ObstacleFile(margin_m=margin, spheres=obstacles)))
 
 
-def ways(path: Reference, keep_out: KeepOut, led: bool) -> dict[str, tuple[Reference, Reference]]:
+def ways(path: Reference, keep_out: CollisionModel, led: bool) -> dict[str, tuple[Reference, Reference]]:
     """What the controller follows and what the loop logs by: nothing known of the obstacles, the path led round them, the rows as well."""
     round_them = detour(model(), path, keep_out)
     found = {"nothing": (path, replace(path, keep_out=keep_out))}

@@ -28,7 +28,7 @@ from tepm_opt.models.robot import load_robot
 from tepm_opt.solvers.identify import Problem, identify
 from tepm_opt.solvers.network_plant import NetworkPlant
 from tepm_opt.studies.blind.excitation import excitations
-from tepm_opt.studies.blind.machine import Deviation, played, rig_file
+from tepm_opt.studies.blind.machine import Deviation, rig_file, simulate_run
 from tests.control.study import WIDE, reference
 
 ROBOT = load_robot("kang2017")
@@ -62,7 +62,7 @@ def fitted(what: str, folder: Path) -> Model:
     if not path.exists():
         found = load_rig_file().imperfections
         hidden = Deviation({what: getattr(found, what).model_dump(exclude_defaults=True)})
-        runs = [played(rig_file(ROBOT, hidden, NOISE, SEED), hidden, run, k + 1) for k, run in enumerate(excitations(SEED, True))]
+        runs = [simulate_run(rig_file(ROBOT, hidden, NOISE, SEED), hidden, run, k + 1) for k, run in enumerate(excitations(SEED, True))]
         plant = NetworkPlant(compile_model(known))
         names = [name for name in plant.values if "." in name]
         estimate = identify(Problem(plant, tuple(runs), plant.free(names), NOISE, step=0.02, derivatives_apart=0.04))

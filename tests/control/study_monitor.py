@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tepm_opt.control.diagnostics.monitor import EVIDENCE, Watched, watched
+from tepm_opt.control.diagnostics.monitor import EVIDENCE, Watched, attach_monitor
 from tepm_opt.control.loop import close_loop
 from tepm_opt.control.mpc.controller import Mpc
 from tepm_opt.hw.rig import Sample
@@ -66,7 +66,7 @@ def driven(seed: int, machine: int, k: int, kind: str) -> Found:
     random = np.random.default_rng([seed, machine, k])
     file, task, at = random_machine("kang2017", seed, machine), TASKS[(machine + k) % len(TASKS)], float(random.uniform(EARLIEST, LATEST))
     change = change_of(kind, random) if kind else None
-    controller = watched(Mpc(model(), path(task)), model())
+    controller = attach_monitor(Mpc(model(), path(task)), model())
     assert isinstance(controller, Watched)
     changes = controller.monitor.changes
 

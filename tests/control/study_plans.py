@@ -15,7 +15,7 @@ import numpy as np
 
 from tepm_opt.control.loop import close_loop
 from tepm_opt.control.mpc.controller import Mpc
-from tepm_opt.control.references.reference import PERIOD, Reference, approach, reference_of, rising
+from tepm_opt.control.references.reference import PERIOD, Reference, approach, minimum_jerk, reference_of
 from tepm_opt.hw.simulation.family import random_machine
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.hw.simulation.rigfile import RigFile, load_rig_file
@@ -69,7 +69,7 @@ def tips(what: str) -> np.ndarray:
     elif kind == "ramp":
         part = time / duration
     elif kind == "smooth":
-        part = rising(time / duration)
+        part = minimum_jerk(time / duration)
     else:
         raise ValueError(f"{what!r}: valid: plan, effort:S, ramp:S, smooth:S, zv:S, zvd:S")
     return START + np.asarray(part)[:, None] * (END - START)

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tepm_opt.control.loop import LoopRecord, LoopStep, undisturbed
+from tepm_opt.control.loop import LoopRecord, LoopStep, pause_garbage_collection
 from tepm_opt.control.mpc.controller import Mpc, MpcSettings
 from tepm_opt.control.references.reference import reference_of, sample_tips
 from tepm_opt.hw.rig import Command, Sample
@@ -73,7 +73,11 @@ def main(rate: float, seconds: float, journal: bool) -> None:
         return ClosedLoop.from_record(done, model(), LoopSetup(), rows)
 
     controller.prepare()
-    with tempfile.TemporaryDirectory() as folder, undisturbed(), _open_journal(Path(folder) if journal else None, part) as keep:
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        pause_garbage_collection(),
+        _open_journal(Path(folder) if journal else None, part) as keep,
+    ):
         for k in range(samples):
             sample: Sample
             sample, sent = here.recv()

@@ -10,7 +10,7 @@ import pytest
 
 from tepm_opt.control.actuation.actuators import Actuators
 from tepm_opt.control.actuation.regulator_lags import RegulatorLags
-from tepm_opt.control.diagnostics.sensors import LARGEST, STAYS, Doubts, TrackerNoise
+from tepm_opt.control.diagnostics.sensors import LARGEST, STAYS, SensorDiagnostics, TrackerNoise
 from tepm_opt.control.loop import LoopRecord, close_loop
 from tepm_opt.control.mpc.controller import Mpc
 from tepm_opt.control.references.reference import Reference
@@ -47,7 +47,7 @@ def test_what_is_believed_has_bounds() -> None:
     assert noise.measured == pytest.approx(LARGEST * 1e-4)
 
 
-def told_now(doubts: Doubts, actuators: Actuators, noise: TrackerNoise, late: float) -> Mapping[str, str]:
+def told_now(doubts: SensorDiagnostics, actuators: Actuators, noise: TrackerNoise, late: float) -> Mapping[str, str]:
     """Sentences after one more sample."""
     doubts.count(actuators.offsets)
     return doubts.sentences(doubts.lasting, actuators.offsets, (noise.measured, noise.declared), late, actuators.lags.quicker)
@@ -57,7 +57,7 @@ def test_a_difference_is_told_once_it_stays() -> None:
     """By name, size and way; a short one, or a small one, is not."""
     devices = Devices(0.1, 0.1, np.inf, 0.0)
     actuators = Actuators(devices, 5e-5, Command.from_inputs(np.zeros(6)), RegulatorLags(devices, 0.01, np.full(3, 5e5)))
-    doubts, noise = Doubts(NAMES, (np.full(3, 5e5), np.full(3, 7.0))), TrackerNoise(6e-4)
+    doubts, noise = SensorDiagnostics(NAMES, (np.full(3, 5e5), np.full(3, 7.0))), TrackerNoise(6e-4)
     actuators.tension_offset = np.array([0.0, -0.4, 0.1])
     told = [told_now(doubts, actuators, noise, 0.0) for _ in range(STAYS + 1)]
     assert not any(told[:STAYS])

@@ -11,7 +11,7 @@ from scipy.linalg import expm
 from scipy.stats import chi2
 
 from tepm_opt.control.estimation.dahl_friction import dahl_step
-from tepm_opt.control.estimation.kalman_filter import Estimator, FilterSettings, Operating, StateEstimate
+from tepm_opt.control.estimation.kalman_filter import DiscreteModalModel, Estimator, FilterSettings, StateEstimate
 from tepm_opt.control.references.reference import PERIOD
 from tepm_opt.errors import InputError
 from tepm_opt.solvers.choices import ActuationMode
@@ -36,18 +36,18 @@ PROBABILITY = 1e-3  # of a test of consistency that fails though all is well
 
 
 @pytest.fixture(scope="module")
-def circle_points(kang) -> list[Operating]:
+def circle_points(kang) -> list[DiscreteModalModel]:
     """About some points of the circle, each seen from the one before."""
     found, start = [], None
     for angle in np.radians([0.0, 4.0, 8.0]):
         at = solve_ik(kang, [0.15 * np.cos(angle), 0.15 * np.sin(angle), 0.35], ActuationMode.HYBRID)
         start = modal_model(at.equilibrium, start)
-        found.append(Operating.from_modal_model(start, at.forces, PERIOD))
+        found.append(DiscreteModalModel.from_modal_model(start, at.forces, PERIOD))
     return found
 
 
 @pytest.fixture(scope="module")
-def here(circle_points) -> Operating:
+def here(circle_points) -> DiscreteModalModel:
     """About the circle's first point."""
     return circle_points[0]
 
@@ -59,7 +59,7 @@ class Arm:
         motion, unknown, strength, friction, hysteresis, bias: of the truth.
     """
 
-    def __init__(self, at: Operating, settings: FilterSettings, random: np.random.Generator | None = None) -> None:
+    def __init__(self, at: DiscreteModalModel, settings: FilterSettings, random: np.random.Generator | None = None) -> None:
         self.at, self.settings, self.random = at, settings, random
         self.state = np.zeros(56)
         self.direction, self.turning = np.zeros(6), np.zeros(6)
@@ -73,7 +73,7 @@ class Arm:
         self.state = self.draw(np.sqrt(np.diag(filtered.covariance)))
         return self
 
-    def advance(self, forces: np.ndarray, then: Operating) -> None:
+    def advance(self, forces: np.ndarray, then: DiscreteModalModel) -> None:
         """One period under axial forces (2, actuators), friction all against DIRECTION."""
         settings, root = self.settings, np.sqrt(PERIOD)
         turning, self.direction = np.abs(DIRECTION - self.direction), DIRECTION
@@ -115,7 +115,7 @@ class Arm:
         return self.points + self.draw(np.full((4, 3), NOISE))
 
 
-def run(arm: Arm, filtered: Estimator, steps: int, where: list[Operating] | None = None) -> Iterator[np.ndarray]:
+def run(arm: Arm, filtered: Estimator, steps: int, where: list[DiscreteModalModel] | None = None) -> Iterator[np.ndarray]:
     """Arm and filter side by side under forces that change: what the tracker sees before the filter does, step by step."""
     where = where or [arm.at]
     turns = np.array([1.0, 0.5, -1.0, 0.3, -0.2, 0.8])
@@ -170,7 +170,7 @@ def test_filter_with_wrong_noise_is_not_consistent(here):
     assert nis > bounds(seen)[1]
 
 
-def settled(here: Operating, settings: FilterSettings | None = None, steps: int = 100, seed: int = 3) -> tuple[Arm, Estimator]:
+def settled(here: DiscreteModalModel, settings: FilterSettings | None = None, steps: int = 100, seed: int = 3) -> tuple[Arm, Estimator]:
     """An arm and a filter that has watched it for a while."""
     settings = settings or KNOWN
     filtered = Estimator(here, NOISE, MIDDLE, settings)
@@ -348,7 +348,7 @@ def test_hysteresis_is_learned(here):
     assert np.abs(np.delete(found, 1)).max() < 0.3
 
 
-def first_order_hold(operating: Operating, period: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def first_order_hold(operating: DiscreteModalModel, period: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A, and what modal forces at the start and the end add: by one exponential of states, forces and their slope."""
     model = operating.model
     count = len(model.stiffness)
@@ -370,7 +370,7 @@ def test_discretisation_is_exact_for_forces_linear_in_a_period(here):
 
 def test_doubled_is_two_periods(here):
     """Of forces linear over both, and as discretised anew with twice the period."""
-    two = here.doubled()
+    two = here.double_period()
     assert two.period == 2 * here.period
     for found, wanted in zip((two.A, two.start, two.end), first_order_hold(here, 2 * PERIOD), strict=True):
         np.testing.assert_allclose(found, wanted, rtol=1e-7, atol=1e-9 * np.abs(wanted).max())

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tepm_opt.control.collision.constraints import KeepOutRows
+from tepm_opt.control.collision.constraints import CollisionConstraints
 from tepm_opt.control.collision.elastic_band import detour
 from tepm_opt.control.collision.geometry import BoxObstacle, ObstacleFile, Obstacles, SphereObstacle, TableObstacle, read_obstacles
-from tepm_opt.control.collision.model import KeepOut
-from tepm_opt.control.estimation.kalman_filter import Operating
+from tepm_opt.control.collision.model import CollisionModel
+from tepm_opt.control.estimation.kalman_filter import DiscreteModalModel
 from tepm_opt.control.loop import LoopRecord, close_loop
 from tepm_opt.control.mpc.controller import Mpc
-from tepm_opt.control.mpc.prediction import Forecast, Weights
+from tepm_opt.control.mpc.prediction import PredictionModel, Weights
 from tepm_opt.control.references.reference import Reference, approach, reference_of
 from tepm_opt.errors import InputError
 from tepm_opt.hw.rig import Sample
@@ -117,17 +117,17 @@ class TestFile:
 
 
 @pytest.fixture(scope="module")
-def beside(kang: CompiledModel, short: Reference) -> KeepOut:
+def beside(kang: CompiledModel, short: Reference) -> CollisionModel:
     """A sphere that the short reference's last second would run 10 mm into."""
     tip, before = short.tips[400], short.tips[390]
     way = np.cross(tip - before, [0.0, 0.0, 1.0])
     centre = tip + (0.03 - GAP) * way / np.linalg.norm(way)
     sphere = SphereObstacle(name="lamp", centre_m=tuple(map(float, centre)), radius_m=0.03)
-    return KeepOut(kang, Obstacles(ObstacleFile(margin_m=0.006, spheres=(sphere,))))
+    return CollisionModel(kang, Obstacles(ObstacleFile(margin_m=0.006, spheres=(sphere,))))
 
 
 @pytest.fixture(scope="module")
-def led(kang: CompiledModel, short: Reference, beside: KeepOut) -> Reference:
+def led(kang: CompiledModel, short: Reference, beside: CollisionModel) -> Reference:
     return detour(kang, short, beside)
 
 
@@ -137,13 +137,13 @@ def part(reference: Reference, periods: int) -> Reference:
     return Reference(**few)
 
 
-def distances(keep_out: KeepOut, reference: Reference) -> np.ndarray:
+def distances(keep_out: CollisionModel, reference: Reference) -> np.ndarray:
     """Least distance in every period, (periods,) in m."""
     return np.array([keep_out.nearest(places).distance for places in keep_out.locate_watched_points(reference.equilibria)])
 
 
 class TestDetour:
-    def test_keeps_the_margin_and_moves_no_more_than_it_must(self, short: Reference, beside: KeepOut, led: Reference) -> None:
+    def test_keeps_the_margin_and_moves_no_more_than_it_must(self, short: Reference, beside: CollisionModel, led: Reference) -> None:
         before, after = distances(beside, short), distances(beside, led)
         assert before.min() == pytest.approx(-GAP, abs=1e-4)
         assert after.min() > 0.006 - 2.1e-4
@@ -161,7 +161,7 @@ class TestDetour:
         assert np.abs(np.diff(led.forces, axis=0)).max() / short.period < 30.0
 
     def test_what_is_far_changes_nothing(self, kang: CompiledModel, short: Reference) -> None:
-        found = detour(kang, short, KeepOut(kang, Obstacles(ObstacleFile(table=TableObstacle(height_m=-0.5)))))
+        found = detour(kang, short, CollisionModel(kang, Obstacles(ObstacleFile(table=TableObstacle(height_m=-0.5)))))
         assert found.tips is short.tips
         assert found.moved is not None
         assert not found.moved.any()
@@ -170,7 +170,7 @@ class TestDetour:
         """A ball at the elbow: the arm bends away, and its tip moves far less than the elbow has to."""
         elbow, place = 1, short.equilibria[-1].points[1]
         ball = SphereObstacle(name="ball", centre_m=(float(place[0]) + 0.021, float(place[1]), float(place[2])), radius_m=0.02)
-        keep_out = KeepOut(kang, Obstacles(ObstacleFile(margin_m=0.004, spheres=(ball,))))
+        keep_out = CollisionModel(kang, Obstacles(ObstacleFile(margin_m=0.004, spheres=(ball,))))
         found = detour(kang, part(short, 100), keep_out)
         assert found.moved is not None
         moved = np.linalg.norm(found.equilibria[-1].points[elbow] - place)
@@ -181,7 +181,7 @@ class TestDetour:
     def test_no_way_is_told(self, kang: CompiledModel, short: Reference) -> None:
         wide = ObstacleFile(spheres=(SphereObstacle(name="pillar", centre_m=(0.0, 0.0, 0.2), radius_m=0.3),))
         with pytest.raises(InputError, match=r"at .* s of the path .* from 'pillar'"):
-            detour(kang, part(short, 30), KeepOut(kang, Obstacles(wide)))
+            detour(kang, part(short, 30), CollisionModel(kang, Obstacles(wide)))
 
 
 class Pushed(SimulatedRig):
@@ -200,7 +200,7 @@ def test_the_program_keeps_the_elbow_out(kang: CompiledModel) -> None:
     path = reference_of(kang, np.vstack([lead, np.repeat(lead[-1:], 270, axis=0)]))
     place = path.equilibria[-1].points[1]
     ball = SphereObstacle(name="ball", centre_m=(float(place[0]) + 0.025, float(place[1]), float(place[2])), radius_m=0.02)
-    keep_out = KeepOut(kang, Obstacles(ObstacleFile(margin_m=0.003, spheres=(ball,))))
+    keep_out = CollisionModel(kang, Obstacles(ObstacleFile(margin_m=0.003, spheres=(ball,))))
     known, least = detour(kang, path, keep_out), []
     for rows in (True, False):
         rig = Pushed()
@@ -212,17 +212,17 @@ def test_the_program_keeps_the_elbow_out(kang: CompiledModel) -> None:
     assert least[1] < -5e-4
 
 
-def test_rows_are_the_distances_by_the_forces(short: Reference, led: Reference, beside: KeepOut) -> None:
+def test_rows_are_the_distances_by_the_forces(short: Reference, led: Reference, beside: CollisionModel) -> None:
     """R v − r + margin is the distance that the arm's prediction, computed stage by stage, has under forces v near those of the plan."""
     stages, row, random = 6, 395, np.random.default_rng(3)
-    operating = Operating.from_modal_model(modal_model(led.equilibria[row]), led.forces[row], led.period)
+    operating = DiscreteModalModel.from_modal_model(modal_model(led.equilibria[row]), led.forces[row], led.period)
     rows = row + 2 * np.arange(-1, stages + 8)
-    forecast = Forecast(Weights(), stages)
+    forecast = PredictionModel(Weights(), stages)
     motion = np.append(2e-3 * random.normal(size=10), np.zeros(10))
     forecast.prepare(operating, led, rows)
     forecast.horizon.set_initial_state(motion, np.zeros(3))
     bias, begin, plan = 1e-3 * random.normal(size=(4, 3)), 0.1 * random.normal(size=6), 0.1 * random.normal(size=(stages, 6))
-    found = KeepOutRows(beside, led, stages)
+    found = CollisionConstraints(beside, led, stages)
     R, r = found.linearise(forecast.horizon, operating.model, rows[2 : stages + 1], bias, begin, plan)
     assert R.shape == (found.count, 6 * stages)
 
@@ -256,7 +256,7 @@ def kept(kang: CompiledModel, led: Reference) -> LoopRecord:
 
 class TestLoop:
     @pytest.mark.slow
-    def test_the_true_arm_keeps_out(self, beside: KeepOut, followed: LoopRecord, kept: LoopRecord) -> None:
+    def test_the_true_arm_keeps_out(self, beside: CollisionModel, followed: LoopRecord, kept: LoopRecord) -> None:
         """On the virtual prototype, which differs from the model: without, the arm goes through the sphere."""
         assert kept.outcome.solved
         assert min(kept.distance) > -1e-3
@@ -288,9 +288,9 @@ class TestLoop:
 def test_an_arm_that_is_inside_at_rest_is_told(kang: CompiledModel) -> None:
     """The tip stands at z = 0.346814 m in G (SPEC section 2): 3.2 mm from the sphere's centre."""
     hand = SphereObstacle(name="hand", centre_m=(0.0, 0.0, 0.35), radius_m=0.04)
-    told = KeepOut(kang, Obstacles(ObstacleFile(spheres=(hand,)))).at_rest()
+    told = CollisionModel(kang, Obstacles(ObstacleFile(spheres=(hand,)))).at_rest()
     assert told.startswith("the arm at rest is inside 'hand' by 37 mm")
-    assert KeepOut(kang, Obstacles(ObstacleFile(spheres=(SPHERE,)))).at_rest() == ""
+    assert CollisionModel(kang, Obstacles(ObstacleFile(spheres=(SPHERE,)))).at_rest() == ""
     assert tell_rest_inside(kang, {"hand": hand.for_planning(0.0)}) == told
 
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tepm_opt.control.diagnostics.causes import BODY, MOTOR, REGULATOR, Weighed, causes
-from tepm_opt.control.diagnostics.change_detection import Coloured, Left, Sums
-from tepm_opt.control.diagnostics.monitor import DEFAULT, EVIDENCE, Watched, watched
-from tepm_opt.control.diagnostics.signatures import BLOCK, Signatures
+from tepm_opt.control.diagnostics.causes import BODY, MOTOR, REGULATOR, FaultHypothesisTest, causes
+from tepm_opt.control.diagnostics.change_detection import GlrStatistics, PrewhiteningFilter, Sums
+from tepm_opt.control.diagnostics.monitor import DEFAULT, EVIDENCE, Watched, attach_monitor
+from tepm_opt.control.diagnostics.signatures import BLOCK, FaultRegressors
 from tepm_opt.control.loop import LoopRecord, close_loop
 from tepm_opt.control.mpc.controller import Mpc
 from tepm_opt.control.references.reference import Reference, approach, point_by_point, reference_of
@@ -34,7 +34,7 @@ def regression(seed: int, change: float) -> tuple[np.ndarray, np.ndarray]:
     return columns, (columns * size).sum(axis=1) + random.standard_normal(200)
 
 
-def left_of(columns: np.ndarray, measured: np.ndarray) -> Left:
+def left_of(columns: np.ndarray, measured: np.ndarray) -> GlrStatistics:
     sums = Sums(SPREADS, 1, marks=30, least=1.0)
     for k, row in enumerate(np.column_stack([measured, columns])):
         if k >= 50 and k % 5 == 0:
@@ -70,10 +70,10 @@ def test_whitened_rows_are_those_of_the_covariance(places: np.ndarray) -> None:
     slow = 0.7**2 * kept ** np.abs(np.subtract.outer(np.arange(60), np.arange(60)))
     covariance = slow + 0.5**2 * (places[:, None] == places) + 0.3**2 * np.eye(60)
     whole = np.linalg.solve(np.linalg.cholesky(covariance), rows[:, 0])
-    filtered = Coloured(np.array([0.7]), np.array([3.0]), 1, 2, 1.0)
+    filtered = PrewhiteningFilter(np.array([0.7]), np.array([3.0]), 1, 2, 1.0)
     own = np.array([[0.25]])
     found = np.array(
-        [filtered.whitened(row, np.eye(1), np.array([[0.09]]), int(k), own, 0 * own) for row, k in zip(rows, places, strict=True)]
+        [filtered.whiten(row, np.eye(1), np.array([[0.09]]), int(k), own, 0 * own) for row, k in zip(rows, places, strict=True)]
     )[:, 0]
     if (places == places[0]).all():
         assert found == pytest.approx(whole)
@@ -83,7 +83,7 @@ def test_whitened_rows_are_those_of_the_covariance(places: np.ndarray) -> None:
 
 
 def test_causes_have_names_of_their_own_and_words(kang: CompiledModel, short: Reference) -> None:
-    body = Signatures(kang, short, Mpc(kang, short).start()).body
+    body = FaultRegressors(kang, short, Mpc(kang, short).start()).body
     every = causes(kang.layout.actuator_names, kang.layout.point_names, body)
     assert len({cause.about for cause in every}) == len(every)
     assert sum(cause.prior for cause in every) == pytest.approx(1.0, abs=0.01)
@@ -95,18 +95,20 @@ def test_causes_have_names_of_their_own_and_words(kang: CompiledModel, short: Re
 
 def test_a_change_along_a_cause_is_weighed_highest(kang: CompiledModel, short: Reference) -> None:
     """A score that is exactly what a cause would make: its evidence is the largest, its size is right to within the prior."""
-    signatures = Signatures(kang, short, Mpc(kang, short).start())
+    signatures = FaultRegressors(kang, short, Mpc(kang, short).start())
     every, count = causes(kang.layout.actuator_names, kang.layout.point_names, signatures.body), len(signatures.spreads)
     random = np.random.default_rng(3)
     factor = random.standard_normal((300, count))
     information = 1e3 * factor.T @ factor
     column = signatures.body["tension"].start + 1
 
-    def still(machines: int, columns: int) -> Left:
-        return Left(np.zeros((1, machines, columns)), np.tile(np.eye(columns), (1, machines, 1, 1)), np.zeros((machines, columns)))
+    def still(machines: int, columns: int) -> GlrStatistics:
+        return GlrStatistics(np.zeros((1, machines, columns)), np.tile(np.eye(columns), (1, machines, 1, 1)), np.zeros((machines, columns)))
 
-    body = Left(0.3 * information[None, None, column], information[None, None], np.zeros((1, count)))
-    found, sizes = Weighed(every, {BODY: count, REGULATOR: 4, MOTOR: 2}).evidence({BODY: body, REGULATOR: still(6, 4), MOTOR: still(6, 2)})
+    body = GlrStatistics(0.3 * information[None, None, column], information[None, None], np.zeros((1, count)))
+    found, sizes = FaultHypothesisTest(every, {BODY: count, REGULATOR: 4, MOTOR: 2}).evidence(
+        {BODY: body, REGULATOR: still(6, 4), MOTOR: still(6, 2)}
+    )
     best = int(found[0].argmax())
     assert every[best].about == "tendon 12"
     assert sizes[0, best] == pytest.approx(0.3, rel=1e-3)
@@ -114,7 +116,7 @@ def test_a_change_along_a_cause_is_weighed_highest(kang: CompiledModel, short: R
 
 def test_rows_of_points_are_small_where_the_rig_is_nearly_the_model(kang: CompiledModel, short: Reference, followed: LoopRecord) -> None:
     """On the virtual prototype the slow part of what is left is some newtons of axial force; blocks with a point unseen are left out."""
-    signatures = Signatures(kang, short, followed.controller.start() if hasattr(followed, "controller") else Mpc(kang, short).start())
+    signatures = FaultRegressors(kang, short, followed.controller.start() if hasattr(followed, "controller") else Mpc(kang, short).start())
     rows = []
     for k, (points, measured) in enumerate(zip(followed.points, followed.measured, strict=True)):
         sample = Sample(followed.time[k], points if not 200 <= k < 210 else np.full_like(points, np.nan), measured[:6], measured[6:])
@@ -134,7 +136,7 @@ def quick() -> Reference:
 
 def watch(reference: Reference, kind: str, at: float, seed: int = 1) -> tuple[LoopRecord, Watched]:
     """The circle on a random machine to which something happens; the monitor learns for 8 s alone, as the runs are short."""
-    controller = watched(Mpc(model(), reference), model(), replace(DEFAULT, learns=8.0))
+    controller = attach_monitor(Mpc(model(), reference), model(), replace(DEFAULT, learns=8.0))
     assert isinstance(controller, Watched)
     change = change_of(kind, np.random.default_rng(seed)) if kind else None
     return close_loop(Changing(random_machine("kang2017", 71001, 2), change, at, seed), controller, model().robot), controller
@@ -169,7 +171,7 @@ def test_places_that_are_new_tell_of_no_change() -> None:
     """Thirty-two stops on the virtual prototype, none of them twice: how it differs there from its model is news, not a change."""
     stops, *_ = point_by_point(circle(32).positions, 1.0, 3.0, 1.0)
     reference = reference_of(model(), np.vstack([approach(model(), stops[0], APPROACH), stops]))
-    controller = watched(Mpc(model(), reference), model())
+    controller = attach_monitor(Mpc(model(), reference), model())
     assert isinstance(controller, Watched)
     rig = SimulatedRig()
     rig.reseed(0)

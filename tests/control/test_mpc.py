@@ -10,9 +10,9 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 from tepm_opt.control.actuation.pressure_planner import PressurePlannerSettings
-from tepm_opt.control.estimation.kalman_filter import FilterSettings, Operating
+from tepm_opt.control.estimation.kalman_filter import DiscreteModalModel, FilterSettings
 from tepm_opt.control.mpc.controller import Mpc, MpcSettings, Use
-from tepm_opt.control.mpc.prediction import Forecast, Weights
+from tepm_opt.control.mpc.prediction import PredictionModel, Weights
 from tepm_opt.control.mpc.qp import QpResult
 from tepm_opt.control.references.reference import Reference
 from tepm_opt.hw.commands import check_command
@@ -32,18 +32,18 @@ WEIGHTS = Weights()
 
 
 @pytest.fixture(scope="module")
-def operating(short: Reference) -> Operating:
+def operating(short: Reference) -> DiscreteModalModel:
     """On the circle, in motion."""
-    return Operating.from_modal_model(modal_model(short.equilibria[ROW]), short.forces[ROW], short.period)
+    return DiscreteModalModel.from_modal_model(modal_model(short.equilibria[ROW]), short.forces[ROW], short.period)
 
 
 def forecast_of(
-    operating: Operating, reference: Reference, stages: int = STAGES, still: bool = False, seed: int = 5
-) -> tuple[Forecast, np.ndarray]:
+    operating: DiscreteModalModel, reference: Reference, stages: int = STAGES, still: bool = False, seed: int = 5
+) -> tuple[PredictionModel, np.ndarray]:
     """About a point of a reference, from a random motion and with a random bias of the tip; with the program's H."""
     random = np.random.default_rng(seed)
     rows = np.full(stages + 9, ROW) if still else ROW + 2 * np.arange(-1, stages + 8)
-    forecast = Forecast(WEIGHTS, stages)
+    forecast = PredictionModel(WEIGHTS, stages)
     motion = np.append(4e-3 * random.normal(size=10), 1e-2 * random.normal(size=10))
     hessian = forecast.prepare(operating, reference, rows)
     forecast.horizon.set_initial_state(motion, 2e-3 * random.normal(size=3))
@@ -51,14 +51,14 @@ def forecast_of(
 
 
 def written_out(
-    forecast: Forecast, operating: Operating, begin: np.ndarray, plan: np.ndarray, value: np.ndarray, path: np.ndarray
+    forecast: PredictionModel, operating: DiscreteModalModel, begin: np.ndarray, plan: np.ndarray, value: np.ndarray, path: np.ndarray
 ) -> float:
     """Cost of deviations (stages, actuators): the arm stage by stage, and a sum of squares.
 
     Args:
         path: modal coordinates of the reference at stages −1, 0, 1, …
     """
-    model, two = operating.model, operating.doubled()
+    model, two = operating.model, operating.double_period()
     deviations = np.vstack([begin, plan])
     state, cost = forecast.horizon.free[0], 0.0
     aim = model.static(forecast.horizon.rest_force)
@@ -94,9 +94,9 @@ def test_cost_is_the_sum_over_the_stages(short, operating, still):
     np.testing.assert_allclose(np.diff(condensed), np.diff(summed), rtol=1e-7)
 
 
-def riccati(operating: Operating) -> np.ndarray:
+def riccati(operating: DiscreteModalModel) -> np.ndarray:
     """Value of the problem without limits about a point, by scipy."""
-    model, two = operating.model, operating.doubled()
+    model, two = operating.model, operating.double_period()
     A, B = np.eye(26), np.vstack([two.end @ model.drive, np.eye(6)])
     A[:20, :20], A[:20, 20:] = two.A, (two.start + two.end) @ model.drive
     cost = np.zeros((26, 26))
@@ -109,8 +109,8 @@ def riccati(operating: Operating) -> np.ndarray:
 def test_value_beyond_the_horizon_converges(short, operating):
     """From the value about a point further on, by a step a period, to that of scipy about the one at which the robot stays."""
     rows = np.full(STAGES + 9, ROW)
-    far = Operating.from_modal_model(modal_model(short.equilibria[200], operating.model), short.forces[200], short.period)
-    forecast = Forecast(WEIGHTS, STAGES)
+    far = DiscreteModalModel.from_modal_model(modal_model(short.equilibria[200], operating.model), short.forces[200], short.period)
+    forecast = PredictionModel(WEIGHTS, STAGES)
     forecast.prepare(far, short, rows)
     wanted, off = riccati(operating), []
     for _ in range(200):
@@ -132,7 +132,7 @@ def test_horizon_does_not_matter_without_limits(short, operating):
 
 def test_forces_at_rest_undo_the_bias(short, operating):
     """The static answer of the tip to `rest_force`, exactly, is minus its bias."""
-    forecast = Forecast(WEIGHTS, STAGES)
+    forecast = PredictionModel(WEIGHTS, STAGES)
     bias = np.array([2e-3, -1e-3, 3e-3])
     forecast.prepare(operating, short, np.full(STAGES + 9, ROW))
     forecast.horizon.set_initial_state(np.zeros(20), bias)

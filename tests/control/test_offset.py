@@ -15,7 +15,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from tepm_opt.control.estimation.kalman_filter import Estimator, Operating
+from tepm_opt.control.estimation.kalman_filter import DiscreteModalModel, Estimator
 from tepm_opt.control.loop import close_loop
 from tepm_opt.control.mpc.controller import Mpc
 from tepm_opt.control.references.reference import Reference, approach, reference_of
@@ -63,7 +63,7 @@ def test_constant_disturbances_leave_no_offset_at_rest() -> None:
 
 def test_the_tip_at_rest_sees_forces_and_bias(short: Reference) -> None:
     """The filter's own matrices, at rest: the observable part takes in everything that moves the tip's mean."""
-    operating = Operating.from_modal_model(modal_model(short.equilibria[330]), short.forces[330], short.period)
+    operating = DiscreteModalModel.from_modal_model(modal_model(short.equilibria[330]), short.forces[330], short.period)
     filtered = Estimator(operating, 6e-4, 3.5)
     done = filtered.predict(np.tile(operating.forces, (2, 1)), np.full(6, 3.5), np.zeros(6), operating)
     states, modes = len(filtered.mean), len(operating.model.stiffness)

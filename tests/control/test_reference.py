@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tepm_opt.control.references.reference import PERIOD, Reference, approach, point_by_point, reference_of, rising, sample_tips
+from tepm_opt.control.references.reference import PERIOD, Reference, approach, minimum_jerk, point_by_point, reference_of, sample_tips
 from tepm_opt.errors import InputError
 from tepm_opt.solvers.statics import solve_statics
 from tepm_opt.solvers.trajectories import Trajectory, circle, lissajous
@@ -19,7 +19,7 @@ def speeds(tips: np.ndarray) -> np.ndarray:
 def test_rising_is_smooth_and_stays_within():
     """From 0 to 1, without speed and acceleration at the ends, and held beyond them."""
     part = np.linspace(-0.5, 1.5, 2001)
-    values = rising(part)
+    values = minimum_jerk(part)
     assert values[0] == 0
     assert values[-1] == 1
     assert (np.diff(values) >= 0).all()

@@ -26,7 +26,7 @@ from tepm_opt.jobs.record import seed_of
 from tepm_opt.models.channels import channels_of
 from tepm_opt.models.robot import load_robot
 from tepm_opt.studies.blind import machine
-from tepm_opt.studies.blind.causes import commanded
+from tepm_opt.studies.blind.causes import make_setpoint_change
 from tepm_opt.studies.blind.excitation import RATE, Excitation, excitations
 from tepm_opt.studies.blind.machine import Commands, Deviation, Sight, rig_file
 
@@ -74,7 +74,7 @@ def true_parameters(case: Hidden) -> dict[str, float]:
 def played(case: Hidden, run: Excitation) -> Run:
     """A run as it is recorded: inputs as commanded, points as measured."""
     hidden = Deviation(case.imperfections, true_factors(case), case.before, case.after)
-    return machine.played(rig_file(ROBOT, hidden, case.noise, case.seed), hidden, run, seed_of(case.seed, run.file))
+    return machine.simulate_run(rig_file(ROBOT, hidden, case.noise, case.seed), hidden, run, seed_of(case.seed, run.file))
 
 
 def make(case: Hidden, folder: Path, short: bool, jobs: int = 1) -> Path:
@@ -115,14 +115,14 @@ def curved_lens(time: np.ndarray, points: np.ndarray) -> np.ndarray:
     return points + 0.4 * np.stack([x * (z - 0.2), y * (z - 0.2) + 0.5 * x * y, -(x**2) - y**2], axis=-1)
 
 
-@commanded
+@make_setpoint_change
 def sagging_supply(time: np.ndarray, pressures: np.ndarray, tensions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A foreign effect: the common supply gives way under load, all pressures by 20 % where all muscles are at 0.3 MPa."""
     sag = 0.2 * (pressures.mean(axis=1, keepdims=True) / 0.3e6) ** 1.5
     return pressures * (1 - np.minimum(sag, 0.5)), tensions
 
 
-@commanded
+@make_setpoint_change
 def sticking_tendons(time: np.ndarray, pressures: np.ndarray, tensions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Tendon friction without motion of the muscle: the tension at the end plays within 0.15 N and 15 % around the motor's."""
     ends = tensions.copy()

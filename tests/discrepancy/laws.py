@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tepm_opt.studies.blind.causes import commanded
+from tepm_opt.studies.blind.causes import make_setpoint_change
 from tepm_opt.studies.blind.excitation import RATE
 from tests.discrepancy.hidden import Hidden, curved_lens, sagging_supply, sticking_tendons
 
@@ -45,7 +45,7 @@ class Trial:
 def one(index: int, change: Curve) -> Callable:
     """A change of one column of the commands."""
 
-    @commanded
+    @make_setpoint_change
     def changed(time: np.ndarray, pressures: np.ndarray, tensions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         inputs = np.hstack([pressures, tensions])
         inputs[:, index] = change(inputs[:, index])
@@ -56,7 +56,7 @@ def one(index: int, change: Curve) -> Callable:
 
 def pressures(change: Curve) -> Callable:
     """A change of all pressures."""
-    return commanded(lambda time, pressures, tensions: (change(pressures), tensions))
+    return make_setpoint_change(lambda time, pressures, tensions: (change(pressures), tensions))
 
 
 def lagged(time: float) -> Curve:

@@ -18,7 +18,7 @@ from tepm_opt.discrepancy.assessment.result import Errors, Named, Place, Rival, 
 from tepm_opt.models.model import Model
 from tepm_opt.plots import save
 from tepm_opt.plots.discrepancy import evidence_figure, gap_figure, heat_figure, over_time_figure, points_figure, tip_figure
-from tepm_opt.report.discrepancy import heading, write_discrepancy_page
+from tepm_opt.report.discrepancy import summarise_verdict, write_discrepancy_page
 
 PNG = base64.b64decode("iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGAWjR9awAAAABJRU5ErkJggg==")
 FIGURES = ("heat", "gap", "points", "over_time", "evidence", "tip")
@@ -120,9 +120,15 @@ def test_every_status(tmp_path: Path, status: VerdictStatus) -> None:
 
 
 def test_several_effects_are_not_one() -> None:
-    assert [heading(VerdictStatus.NAMED, count) for count in (1, 2)] == ["The missing effect is named", "The missing effects are named"]
-    assert [heading(VerdictStatus.PARTIAL, count) for count in (1, 3)] == ["A known effect explains a part", "Known effects explain a part"]
-    assert heading(VerdictStatus.INDISTINGUISHABLE, 2) == "Several effects explain the data equally well"
+    assert [summarise_verdict(VerdictStatus.NAMED, count) for count in (1, 2)] == [
+        "The missing effect is named",
+        "The missing effects are named",
+    ]
+    assert [summarise_verdict(VerdictStatus.PARTIAL, count) for count in (1, 3)] == [
+        "A known effect explains a part",
+        "Known effects explain a part",
+    ]
+    assert summarise_verdict(VerdictStatus.INDISTINGUISHABLE, 2) == "Several effects explain the data equally well"
 
 
 def test_what_is_not_there_is_left_out(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from tepm_opt.models.robot import load_robot
 from tepm_opt.solvers.identify import ParameterEstimate, Problem, identify
 from tepm_opt.solvers.network_plant import NetworkPlant
 from tepm_opt.studies.blind.excitation import excitations
-from tepm_opt.studies.blind.machine import Deviation, played, rig_file
+from tepm_opt.studies.blind.machine import Deviation, rig_file, simulate_run
 from tests.tools import in_company
 
 KANG, NOISE = load_robot("kang2017"), 3e-4
@@ -49,7 +49,9 @@ def excess(estimate: ParameterEstimate) -> float:
 def test_it_is_explained_from_what_the_residuals_suggest(company: CompiledModel, what: str) -> None:
     name, sizes, same = HIDDEN[what]
     hidden = Deviation({name: sizes})
-    runs = tuple(played(rig_file(KANG, hidden, NOISE, 1), hidden, run, k) for k, run in enumerate(excitations(3, short=True)[:4], start=1))
+    runs = tuple(
+        simulate_run(rig_file(KANG, hidden, NOISE, 1), hidden, run, k) for k, run in enumerate(excitations(3, short=True)[:4], start=1)
+    )
     plant = NetworkPlant(company)
     known = plant.free(tuple(KANG.priors))
     without = identify(Problem(plant, runs, known, NOISE, step=0.02, derivatives_apart=0.04))
@@ -71,10 +73,10 @@ def test_what_is_suggested_for_runs_of_a_known_session() -> None:
     clock, left = began + np.tile(np.arange(1000) / 50, 3), random.normal(size=(3000, 12))
     slip, shaken = find_effect("tendon_slip"), find_effect("base_vibration")
     later = left + np.where(clock > 31.7, 2 * np.sin(clock), 0.0)[:, None]
-    assert slip.suggested(clock, began, later)["instant"] == pytest.approx(31.7, abs=0.3)
+    assert slip.suggest_values(clock, began, later)["instant"] == pytest.approx(31.7, abs=0.3)
     for restarts in (0.0, 1.0):
         line = left + 0.3 * np.sin(2 * np.pi * 7.3 * (clock - restarts * began) + 1)[:, None] + 2 * np.sin(0.8 * clock)[:, None]
-        found = shaken.suggested(clock, began, line)
+        found = shaken.suggest_values(clock, began, line)
         assert found["frequency"] == pytest.approx(7.3, abs=7e-3)
         assert found["restarts"] == restarts
 

@@ -28,7 +28,7 @@ from tepm_opt.solvers.network_plant import NetworkPlant, free_parameters
 from tepm_opt.solvers.planning.family import FamilyFit, make_family
 from tepm_opt.solvers.planning.plan import plan_move
 from tepm_opt.solvers.predict import predict
-from tepm_opt.solvers.reduction import balanced
+from tepm_opt.solvers.reduction import balanced_reduction
 from tepm_opt.solvers.simulate import Directions, simulate
 from tepm_opt.solvers.statics import solve_statics
 from tests.discrepancy.small import NOISE, cut, dataset_of, measured, planned
@@ -88,7 +88,7 @@ SHOWN: dict[str, Callable[[Subjects], object]] = {
     "ParameterEstimate(not converged": lambda s: replace(s.estimate, outcome=Outcome(Ending.NOT_CONVERGED)),
     "Linear(": lambda s: linearise(solve_statics(s.model, np.zeros(12))),
     "System(": lambda s: linearise(solve_statics(s.model, np.zeros(12))).select("pressure", "s4"),
-    "Reduced(balanced": lambda s: balanced(linearise(solve_statics(s.model, np.zeros(12))), 6, None, "pressure", "s4"),
+    "Reduced(balanced": lambda s: balanced_reduction(linearise(solve_statics(s.model, np.zeros(12))), 6, None, "pressure", "s4"),
     "Mode(": lambda s: modes(linearise(solve_statics(s.model, np.zeros(12))))[0],
     "ModalModel(": lambda s: modal_model(solve_statics(s.model, np.zeros(12))),
     "MotionPlan(out of reach": lambda s: plan_move(s.model, REACHED, UNREACHED),

@@ -11,7 +11,7 @@ from tests.docs.words import bare_names, measure_sentences, riddles
 
 README = ROOT / "README.md"
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
-MOST_BARE_NAMES, MOST_RIDDLES = 126, 30
+MOST_BARE_NAMES, MOST_RIDDLES = 0, 0
 """In the package; who lowers the number lowers it here."""
 
 

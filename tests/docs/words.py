@@ -13,7 +13,7 @@ PREPOSITIONS = re.compile(
     r"between|beyond|by|during|except|for|from|in|inside|into|near|of|off|on|onto|out|outside|over|past|since|through|"
     r"throughout|till|to|together|toward|towards|under|until|up|upon|with|within|without"
 )
-NO_PARTICIPLES = re.compile(r"bring|embed|feed|need|seed|speed|spring|string")
+NO_PARTICIPLES = re.compile(r"bring|embed|feed|need|reseed|seed|speed|spring|string")
 IRREGULAR = re.compile(
     r"begun|beaten|borne|bound|broken|brought|built|caught|chosen|come|drawn|driven|eaten|fallen|felt|forgotten|found|given|"
     r"gone|grown|heard|held|kept|known|laid|lain|led|left|lent|lost|made|meant|met|sent|shown|sought|spoken|sprung|stood|taken|"

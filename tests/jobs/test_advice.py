@@ -16,7 +16,7 @@ from tepm_opt.cli.program import app
 from tepm_opt.discrepancy.assessment.result import VerdictStatus
 from tepm_opt.discrepancy.reporting.sentences import ONE_CLOCK, next_step
 from tepm_opt.discrepancy.state import Discovery
-from tepm_opt.jobs.advice import Asked, advised
+from tepm_opt.jobs.advice import Asked, add_advice
 from tests.discrepancy.test_report import LOCALISATION, VERDICT
 
 
@@ -25,7 +25,7 @@ def told(status: VerdictStatus, asked: Asked, shift: str = "", static: bool = Fa
     runs = [SimpleNamespace(file="a.csv", role="fit"), SimpleNamespace(file="b c.csv", role="validation")]
     dataset: Any = SimpleNamespace(runs=runs, static=static)
     verdict = replace(VERDICT, status=status, next=next_step(status, shift))
-    found = advised(Discovery(verdict, dataset, 1e-3, LOCALISATION, {}, None, law), asked).verdict  # type: ignore[arg-type]
+    found = add_advice(Discovery(verdict, dataset, 1e-3, LOCALISATION, {}, None, law), asked).verdict  # type: ignore[arg-type]
     commands = [shlex.split(command) for command in found.command.split(" && ")] if found.command else []
     for program, verb, *arguments in commands:
         assert program == "tepm"

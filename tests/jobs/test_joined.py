@@ -13,7 +13,7 @@ from tepm_opt.data.datasets import DataSet
 from tepm_opt.data.run import Run
 from tepm_opt.errors import InputError
 from tepm_opt.jobs.discrepancy import checked_datasets
-from tepm_opt.jobs.joined import joined
+from tepm_opt.jobs.joined import concatenate_datasets
 from tepm_opt.models.channels import channels_of
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.robot import load_robot, robot_text
@@ -31,7 +31,9 @@ def dataset(*files: str, robot: str = "kang2017", noise: float | None = 3e-4) ->
 
 
 def test_runs_are_named_after_their_folder_and_go_on_in_time() -> None:
-    found = joined(dataset("a.csv", "b.csv"), [(Path("x/extra"), dataset("a.csv", "c.csv")), (Path("y/extra"), dataset("a.csv"))])
+    found = concatenate_datasets(
+        dataset("a.csv", "b.csv"), [(Path("x/extra"), dataset("a.csv", "c.csv")), (Path("y/extra"), dataset("a.csv"))]
+    )
     assert [each.file for each in found.runs] == ["a.csv", "b.csv", "extra_a.csv", "extra_c.csv", "extra-2_a.csv"]
     began = [each.began for each in found.runs]
     assert began[:2] == [0.0, 6.0]
@@ -41,12 +43,12 @@ def test_runs_are_named_after_their_folder_and_go_on_in_time() -> None:
 
 def test_nothing_added_is_the_same() -> None:
     first = dataset("a.csv")
-    assert joined(first, []) is first
+    assert concatenate_datasets(first, []) is first
 
 
 def test_a_copy_of_the_robot_file_is_the_same_robot(tmp_path: Path) -> None:
     (tmp_path / "robot.toml").write_text(robot_text("kang2017"), encoding="utf-8")
-    found = joined(dataset("a.csv"), [(Path("extra"), dataset("b.csv", robot=str(tmp_path / "robot.toml"), noise=None))])
+    found = concatenate_datasets(dataset("a.csv"), [(Path("extra"), dataset("b.csv", robot=str(tmp_path / "robot.toml"), noise=None))])
     assert found.runs[1].file == "extra_b.csv"
     assert (found.robot, found.position_noise) == ("kang2017", 3e-4)
 
@@ -72,7 +74,7 @@ WRONG = {
 def test_what_does_not_fit_is_refused_with_its_folder(tmp_path: Path, name: str) -> None:
     make, message = WRONG[name]
     with pytest.raises(InputError, match=message):
-        joined(dataset("a.csv"), [(Path("extra"), make(tmp_path))])
+        concatenate_datasets(dataset("a.csv"), [(Path("extra"), make(tmp_path))])
 
 
 def test_warnings_of_added_data_name_their_folder(kang: CompiledModel, tmp_path: Path) -> None:

@@ -281,7 +281,7 @@ def test_at_its_null_values_it_vanishes(null, kang, operating):
         found, plain = solve_statics(null, u, force), solve_statics(kang, u, force)
         assert abs(observed(found) - observed(plain)).max() < 1e-12
         G, G_plain = solve_gain(found), solve_gain(plain)
-        assert relative(G.normalised(), G_plain.normalised()) < 1e-10
+        assert relative(G.normalise(), G_plain.normalise()) < 1e-10
         assert relative(G.by_load, G_plain.by_load) < 1e-10
 
 
@@ -395,7 +395,7 @@ def test_forces_come_from_a_potential_and_damping_dissipates(static, operating):
         turn = slope(lambda h: reference.assemble(x + h * direction, P, theta).force.ravel(), 1e-4)  # noqa: B023
         assert rise[0] == pytest.approx(float((at.force * direction[1:]).sum()), rel=1e-7)
         assert relative(full(at.band) @ direction[1:].ravel(), turn) < 1e-7
-    damping = np.linalg.eigvalsh(full(reference.damping(x, P, theta)))
+    damping = np.linalg.eigvalsh(full(reference.assemble_damping(x, P, theta)))
     assert damping[0] > -1e-12 * damping[-1]
 
 

@@ -65,7 +65,7 @@ def test_the_damping_is_that_of_dashpots_along_the_edges(kang, point):
     other.rest = np.linalg.norm(nodes[other.ends[:, 1]] - nodes[other.ends[:, 0]], axis=1).reshape(12, -1)
     other.stiffness = np.full((12, 12), 15.50)
     expected = other.potential(x[1:].ravel(), np.zeros((12, 3)), np.zeros((12, 3)))[2]
-    found = full(kang.reference.damping(x, P, kang.theta))
+    found = full(kang.reference.assemble_damping(x, P, kang.theta))
     assert relative(found, expected) < 1e-12
     assert np.linalg.eigvalsh(found)[0] > -1e-10
 

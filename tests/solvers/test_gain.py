@@ -32,7 +32,7 @@ def test_at_50_operating_points(kang):
         held = solve_statics(kang, u, force)
         expected = differences(kang, u, force, 5e-4)
         for point in range(4):
-            found = solve_gain(held, point).normalised()
+            found = solve_gain(held, point).normalise()
             rows = slice(3 * point, 3 * point + 3)
             for block in (slice(0, 6), slice(6, 12)):
                 assert relative(found[:, block], expected[rows, block]) < 1e-6
@@ -125,11 +125,11 @@ class TestFigure11:
 def test_it_is_continuous_along_the_circle(kang):
     """G turns once with the circle's angle; between neighbours of 32 it changes by about 2 pi / 32 and never jumps."""
     found = solve_trajectory(kang, circle(32).positions, ActuationMode.HYBRID)
-    gains = np.array([gain_at(configuration).normalised() for configuration in found])
+    gains = np.array([gain_at(configuration).normalise() for configuration in found])
     steps = np.linalg.norm(gains - np.roll(gains, 1, axis=0), axis=(1, 2)) / np.linalg.norm(gains, axis=(1, 2))
     assert 0.05 < steps.min() < steps.max() < 0.3
     halves = solve_trajectory(kang, circle(64).positions, ActuationMode.HYBRID)
-    finer = np.array([gain_at(configuration).normalised() for configuration in halves])
+    finer = np.array([gain_at(configuration).normalise() for configuration in halves])
     smaller = np.linalg.norm(finer - np.roll(finer, 1, axis=0), axis=(1, 2)) / np.linalg.norm(finer, axis=(1, 2))
     assert smaller.max() < 0.6 * steps.max()
 
@@ -138,7 +138,7 @@ def test_measures(kang):
     gain = solve_gain(solve_statics(kang, random_inputs(kang, 1, 5)[0]))
     for actuation, columns in {"pressure": slice(0, 6), "tension": slice(6, 12), "both": slice(0, 12)}.items():
         block = (gain.matrix * kang.input_max)[:, columns]
-        np.testing.assert_array_equal(gain.normalised(actuation), block)
+        np.testing.assert_array_equal(gain.normalise(actuation), block)
         values = np.sqrt(np.linalg.eigvalsh(block @ block.T))[::-1]
         np.testing.assert_allclose(gain.singular_values(actuation), values, rtol=1e-8)
         assert gain.condition(actuation) == pytest.approx(values[0] / values[2], rel=1e-8)

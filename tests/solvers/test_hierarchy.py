@@ -11,7 +11,7 @@ import pytest
 from tepm_opt.data.run import Run
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.model import Model
-from tepm_opt.solvers.hierarchy import SMALLEST, clustering, identify_with_spreads, off_centre, spreads, with_spreads
+from tepm_opt.solvers.hierarchy import SMALLEST, compute_clustering_chances, identify_with_spreads, off_centre, spreads, with_spreads
 from tepm_opt.solvers.identify import Problem, identify
 from tepm_opt.solvers.network_plant import NetworkPlant
 from tepm_opt.solvers.plant import Free, Prediction
@@ -118,16 +118,16 @@ def test_a_difference_between_clusters_is_no_scatter() -> None:
     """Members that are alike in each of two clusters, and members that scatter."""
     names = [f"member_{k}" for k in range(MEMBERS)]
     problem, truth = made(0.1, 3)
-    by_chance = clustering(identify_with_spreads(problem), 2, names)
+    by_chance = compute_clustering_chances(identify_with_spreads(problem), 2, names)
     apart = np.append(np.repeat([0.0, 0.2], MEMBERS // 2), truth[-1])
     plant = problem.plant
     assert isinstance(plant, Sum)
     run = replace(problem.runs[0], points=np.repeat((plant.curves @ apart)[:, None, None], 3, axis=2))
-    by_cluster = clustering(identify_with_spreads(replace(problem, runs=(run,))), 2, names)
+    by_cluster = compute_clustering_chances(identify_with_spreads(replace(problem, runs=(run,))), 2, names)
     assert 0.02 < by_chance[0] < 1
     assert by_cluster[0] < 1e-6
-    assert clustering(identify_with_spreads(problem), 1, names) == []
-    assert clustering(identify_with_spreads(problem), 2, ["common"]) == []
+    assert compute_clustering_chances(identify_with_spreads(problem), 1, names) == []
+    assert compute_clustering_chances(identify_with_spreads(problem), 2, ["common"]) == []
 
 
 def test_what_all_members_have_is_no_scatter() -> None:

@@ -45,7 +45,7 @@ def test_statics(model):
 def test_gain(model):
     u = random_inputs(model, 1, 1, 0.1, 0.9)[0]
     held = solve_statics(model, u, settings=PRECISE)
-    found = solve_gain(held).normalised()
+    found = solve_gain(held).normalise()
     half = len(u) // 2
     assert relative(found[:, half:] / 7, -found[:, :half] / (0.5e6 * 50.27e-6)) < 1e-12
     for number in (0, half - 1):

@@ -10,7 +10,7 @@ from tepm_opt.models.compile import compile_model
 from tepm_opt.models.model import Model
 from tepm_opt.solvers.linear import Linear, System, linearise
 from tepm_opt.solvers.modes import direction_in_words, modes, poles
-from tepm_opt.solvers.reduction import balanced, difference, modal
+from tepm_opt.solvers.reduction import balanced_reduction, difference, modal
 from tepm_opt.solvers.statics import solve_statics
 from tests.solvers.dynamics import with_dynamics
 
@@ -46,7 +46,7 @@ def test_balanced_reduction_keeps_its_bound(systems, at, choice):
     whole = full.response(SWEEP, scaled=True)
     cases = [(order, exact) for order in ((2, 4, 8) if choice == "one" else (2, 4, 12, 30)) for exact in (True, False)]
     for order, exact_gain in cases:
-        reduced = balanced(full, order, exact_gain=exact_gain)
+        reduced = balanced_reduction(full, order, exact_gain=exact_gain)
         assert len(reduced.A) == order
         assert np.linalg.eigvals(reduced.A).real.max() < 0
         assert 1e-3 * reduced.bound < worst(reduced, whole) <= reduced.bound
@@ -73,25 +73,27 @@ def test_modal_reduction_keeps_its_bound_and_modes(systems, at, choice):
 
 
 def test_eight_states_do_for_one_channel(systems):
-    reduced = balanced(systems["rest"], tolerance=1e-5, inputs="pressure_11", outputs="s4_y")
+    reduced = balanced_reduction(systems["rest"], tolerance=1e-5, inputs="pressure_11", outputs="s4_y")
     assert len(reduced.A) <= 8
     assert difference(systems["rest"], reduced, SWEEP).max() <= reduced.bound <= 1e-5
     assert reduced.to_control().input_labels == ["pressure_11"]
-    two = balanced(systems["rest"], 2, inputs="pressure_11", outputs="s4_y")
+    two = balanced_reduction(systems["rest"], 2, inputs="pressure_11", outputs="s4_y")
     np.testing.assert_allclose(sorted(np.linalg.eigvals(two.A).imag), [-5.642, 5.642], atol=0.01)
-    assert systems["with effects"].delay == balanced(systems["with effects"], 6, inputs="pressure_11").delay == pytest.approx(0.005)
+    assert (
+        systems["with effects"].delay == balanced_reduction(systems["with effects"], 6, inputs="pressure_11").delay == pytest.approx(0.005)
+    )
 
 
 @pytest.mark.parametrize(
     ("wrong", "says"),
     [
-        (lambda s: balanced(s), "either an order or a tolerance"),
-        (lambda s: balanced(s, 4, tolerance=1e-3), "either an order or a tolerance"),
-        (lambda s: balanced(s, 0), "order: 0; valid: 1 …"),
-        (lambda s: balanced(s, 500), "order: 500; valid: 1 …"),
-        (lambda s: balanced(s, tolerance=0.0), "tolerance: 0; valid: at least"),
-        (lambda s: balanced(s, tolerance=float("nan")), "tolerance: nan"),
-        (lambda s: balanced(s, 4, outputs="tip"), "unknown output 'tip'"),
+        (lambda s: balanced_reduction(s), "either an order or a tolerance"),
+        (lambda s: balanced_reduction(s, 4, tolerance=1e-3), "either an order or a tolerance"),
+        (lambda s: balanced_reduction(s, 0), "order: 0; valid: 1 …"),
+        (lambda s: balanced_reduction(s, 500), "order: 500; valid: 1 …"),
+        (lambda s: balanced_reduction(s, tolerance=0.0), "tolerance: 0; valid: at least"),
+        (lambda s: balanced_reduction(s, tolerance=float("nan")), "tolerance: nan"),
+        (lambda s: balanced_reduction(s, 4, outputs="tip"), "unknown output 'tip'"),
         (lambda s: modal(s, 0.1), "below: 0.1 Hz; valid: 0.89"),
         (lambda s: modal(s, 1e6), "below: 1e"),
     ],
@@ -107,7 +109,7 @@ def test_unstable_systems_are_refused(kang):
     assert at.outcome.ending == "unstable"
     linear = linearise(at)
     assert any(mode.damping < 0 and mode.time_constant < 0 for mode in modes(linear))
-    for reduce in (lambda: balanced(linear, 4), lambda: modal(linear, 2.0)):
+    for reduce in (lambda: balanced_reduction(linear, 4), lambda: modal(linear, 2.0)):
         with pytest.raises(InputError, match="unstable"):
             reduce()
 

@@ -55,14 +55,14 @@ def test_absurd_numbers_of_points_are_refused(path, points):
 
 def test_resampling_keeps_the_points_and_the_path():
     path = line(5)
-    finer = path.resampled(9)
+    finer = path.resample(9)
     np.testing.assert_allclose(finer.positions[::2], path.positions, atol=1e-15)
     np.testing.assert_allclose(finer.positions[1::2], (path.positions[1:] + path.positions[:-1]) / 2, atol=1e-12)
-    np.testing.assert_allclose(circle(65).resampled(130).positions[::2], circle(65).positions, atol=1e-12)
+    np.testing.assert_allclose(circle(65).resample(130).positions[::2], circle(65).positions, atol=1e-12)
     with pytest.raises(InputError, match="points = 0"):
-        path.resampled(0)
+        path.resample(0)
     with pytest.raises(InputError, match="at least 2 points"):
-        circle(1).resampled(5)
+        circle(1).resample(5)
 
 
 @pytest.mark.parametrize("names", [("time_s", "x_m", "y_m", "z_m"), ("t", "x", "y", "z"), ("time", "x_m", "y", "z_m")])

@@ -69,7 +69,7 @@ def test_a_dragged_tip_takes_the_sliders_along(studio: Studio) -> None:
     assert studio.settle()
     target = np.array([0.1, 0.05, 0.34])
     studio.arm._gizmo._impl.position = target
-    studio.arm._dragged(Person(studio.arm._gizmo))  # type: ignore[arg-type]
+    studio.arm._follow_drag(Person(studio.arm._gizmo))  # type: ignore[arg-type]
     assert studio.settle()
     np.testing.assert_allclose(studio.arm.point.held.tip, target, atol=1e-6)
     values = np.array([slider.value for slider in studio.arm._sliders]) / np.repeat([1e-3, 1.0], 6)

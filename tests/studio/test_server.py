@@ -98,7 +98,7 @@ def test_only_this_computer(running: tuple[viser.ViserServer, Gate]) -> None:
 
 
 def test_a_viser_that_cannot_be_guarded_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(serving, "_guarded", lambda gate: nullcontext())
+    monkeypatch.setattr(serving, "_guard_servers", lambda gate: nullcontext())
     with pytest.raises(InputError, match="answers 200 to requests without the token"):
         start("a test")
 

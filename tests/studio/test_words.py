@@ -17,7 +17,7 @@ def test_reached(kang: CompiledModel) -> None:
     assert "**reached**" in text
     assert "No limit binds." in text
     assert "mm off" in text
-    values = [f"{1e3 * value:.0f}" for value in np.linalg.svd(point.gain.normalised("tension"), compute_uv=False)]  # type: ignore[union-attr]
+    values = [f"{1e3 * value:.0f}" for value in np.linalg.svd(point.gain.normalise("tension"), compute_uv=False)]  # type: ignore[union-attr]
     assert f"| tension | {' | '.join(values)} |" in text
 
 

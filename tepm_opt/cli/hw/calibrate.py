@@ -49,7 +49,7 @@ def tension(
     from tepm_opt.hw.service import calibrate
     from tepm_opt.models.layout import Layout
 
-    found, which = _prepared(robot, actuator, out)
+    found, which = _load_robot_and_actuators(robot, actuator, out)
     most = 1e3 * found.actuation.tension_max_N / calibrate.STANDARD_GRAVITY
     masses = calibrate.parse_increasing(weights, "--weights-g", 0, most, "g (the robot's largest tension)")
     names = Layout.from_robot(found).actuator_names
@@ -97,7 +97,7 @@ def pressure(
     from tepm_opt.hw.service import calibrate, moves
     from tepm_opt.models.layout import Layout
 
-    found, which = _prepared(robot, actuator, out)
+    found, which = _load_robot_and_actuators(robot, actuator, out)
     levels = calibrate.parse_increasing(at, "--at-kPa", 0, found.actuation.pressure_max_Pa / 1e3, "kPa")
     names = Layout.from_robot(found).actuator_names
 
@@ -152,13 +152,13 @@ def _drive(
         stderr.print(f"  {single.name} at {level:g} kPa: monitor {read / 1e3:.1f} kPa{mark}", highlight=False)
         if gauge:
             with moves.keep_sending(rig, single.command(value), threaded):
-                true[-1] = 1e-3 * _reading(f"Gauge at actuator {single.name}, kPa:", single.most / 1e3)
+                true[-1] = 1e-3 * _ask_gauge_pressure(f"Gauge at actuator {single.name}, kPa:", single.most / 1e3)
     moves.glide(rig, single, last, 0.0)
     return np.array(true), np.array(volts), np.array(counts)
 
 
-def _reading(question: str, most: float) -> float:
-    """A number of kPa that a person types; asked for again until it is one."""
+def _ask_gauge_pressure(question: str, most: float) -> float:
+    """Ask a person for a pressure in kPa, again until it is one."""
     while True:
         text = shared.ask(question)
         try:
@@ -252,11 +252,11 @@ def _load_calibrated_robot(robot: str | None, out: Path | None) -> Robot:
     return found
 
 
-def _prepared(robot: str | None, actuator: str, out: Path | None) -> tuple[Robot, list[int]]:
-    """The robot and the actuators that are calibrated.
+def _load_robot_and_actuators(robot: str | None, actuator: str, out: Path | None) -> tuple[Robot, list[int]]:
+    """Load the robot and the actuators that are calibrated.
 
     Raises:
-        InputError: as for `_loaded`, or no such actuator.
+        InputError: as for `_load_calibrated_robot`, or no such actuator.
     """
     from tepm_opt.hw.service.line import actuators_of
     from tepm_opt.models.layout import Layout

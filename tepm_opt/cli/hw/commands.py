@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 COLOURS = {"RIGHT": "green", "WRONG": "red", "OPEN": "yellow"}  # by the names of marks
 ESTOP_S, RESTARTED_S = 8.0, 5.0
-"""How long ESTOP is sent; a board whose clock is younger than this when it answers was restarted by opening the port."""
+"""Time in s for which ESTOP is sent; age of a board's clock below which opening the port has restarted the board."""
 
 app = typer.Typer(help="The real robot: ports, commissioning, calibration, a look at it, emergency stop; rig files.", no_args_is_help=True)
 app.command("monitor")(monitor)

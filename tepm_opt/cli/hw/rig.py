@@ -22,8 +22,8 @@ PROTOTYPE = "virtual_prototype"
 app = typer.Typer(help="Rig files, of what --rig sim:FILE simulates: show, start a new one, check.", no_args_is_help=True)
 
 
-def scaled(rig: str, robot: str | None) -> RigFile:
-    """A rig file, or a built-in rig scaled to a robot.
+def load_or_scale_rig(rig: str, robot: str | None) -> RigFile:
+    """Load a rig file, or scale a built-in rig to a robot.
 
     Raises:
         InputError: no such rig or robot; a file has a robot of its own.
@@ -44,7 +44,7 @@ def show(
     as_json: JsonOption = False,
 ) -> int:
     """Print what a simulated rig has: devices, and imperfections that are on; a built-in one scaled to --robot."""
-    file = scaled(rig, robot)
+    file = load_or_scale_rig(rig, robot)
     values = file.model_dump(exclude={"robot", "imperfections", "faults"}) | {
         "robot": file.nominal.name,
         "faults": [fault.entries() for fault in file.faults],
@@ -80,7 +80,7 @@ def new(
     if template not in builtin_rigs():
         raise InputError(f"--from {template}: no built-in rig; valid: {', '.join(builtin_rigs())}")
     named = robot or "kang2017"
-    file = scaled(template, named).model_copy(update={"name": path.stem})
+    file = load_or_scale_rig(template, named).model_copy(update={"name": path.stem})
     seen = named if named in builtin_robots() else Path(os.path.relpath(named, path.parent)).as_posix()
     return write_new(path, rig_text(file, seen, f"--rig sim:{path.name}"), "hw rig", as_json)
 
@@ -94,7 +94,7 @@ def check(
     """Check a rig file: that it can be read, fits its robot, and that the robot comes to rest."""
     from tepm_opt.hw.simulation.mujoco_network import MujocoNetwork
 
-    file = scaled(rig, robot)
+    file = load_or_scale_rig(rig, robot)
     found = tepm.SimulatedRig(file)
     try:
         found.read()

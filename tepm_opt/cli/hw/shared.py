@@ -1,4 +1,4 @@
-"""What the commands of `tepm hw` share: options, asking a person, and ends that are safe and said in one line."""
+"""Shared parts of the commands of `tepm hw`: options, questions to a person, safe ends that one line explains."""
 
 from __future__ import annotations
 

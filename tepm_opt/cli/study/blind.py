@@ -43,7 +43,7 @@ def blind(
             write_trials(data, series, progress)
             return report({"trials": trials, "data": str(data)}, [f"{trials} data sets in {escape(str(data))}"], as_json, ok=True)
         if workers.scheduler is not None:
-            with workers.opened() as executor:
+            with workers.open_executor() as executor:
                 run = studies.run_blind(out, series, executor, progress=progress)
         else:  # processes are made anew where a trial kills one
             run = studies.run_blind(out, series, jobs=workers.jobs, progress=progress)

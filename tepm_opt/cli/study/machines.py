@@ -60,7 +60,7 @@ def machines(
         targets, course = which.trajectory(path, compiled), drive.course(setup)
         family = studies.Family(count, noises, seed)
         task = studies.DriveTask(compiled.model, targets, course, setup, family, kinematics.settings())
-        with stopped_by_signals(), workers.opened() as executor, show_progress(as_json) as bars:
+        with stopped_by_signals(), workers.open_executor() as executor, show_progress(as_json) as bars:
             run = studies.run_machines(task, bound / 1e3, executor, bars)
         run.save(folder)
         studies.draw_machines(run, folder)

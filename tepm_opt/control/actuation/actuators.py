@@ -83,8 +83,8 @@ class Actuators:
         pressure, tension = self._told
         if sample.pressures is not None:
             self.lags.correct(np.asarray(sample.pressures, dtype=float), passed)
-        self.pressure_offset = self.pressure_offset + share * _missed(sample.pressures, pressure + self.pressure_offset)
-        read = _missed(sample.tensions, tension + self.tension_offset)
+        self.pressure_offset = self.pressure_offset + share * _subtract_expected(sample.pressures, pressure + self.pressure_offset)
+        read = _subtract_expected(sample.tensions, tension + self.tension_offset)
         missed = np.minimum(np.maximum(read, -FARTHEST), FARTHEST)
         self.tension_offset = self.tension_offset + (read - missed) + share * missed
         if sample.tensions is not None:
@@ -111,14 +111,14 @@ class Actuators:
         return count
 
 
-def _missed(measured: np.ndarray | None, expected: np.ndarray) -> np.ndarray:
+def _subtract_expected(measured: np.ndarray | None, expected: np.ndarray) -> np.ndarray:
     """Differences of measured and expected values, 0 where nothing is measured, (actuators,) each."""
     return np.zeros(len(expected)) if measured is None else np.nan_to_num(np.asarray(measured) - expected, nan=0.0, posinf=0.0, neginf=0.0)
 
 
 def _blend_with_measured(believed: np.ndarray, measured: np.ndarray | None, offset: np.ndarray) -> np.ndarray:
     """Move believed values towards measured ones less the gauges' offsets, where there are any, (actuators,) each; never below zero."""
-    return np.maximum(believed + BELIEF * _missed(measured, believed + offset), 0.0)
+    return np.maximum(believed + BELIEF * _subtract_expected(measured, believed + offset), 0.0)
 
 
 class InputEffects:

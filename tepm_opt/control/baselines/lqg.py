@@ -19,7 +19,7 @@ from tepm_opt.control.actuation.delay_line import CommandDelayLine
 from tepm_opt.control.actuation.pressure_planner import PressurePlanner, PressurePlannerSettings
 from tepm_opt.control.actuation.regulator_lags import RegulatorLags
 from tepm_opt.control.controller import ControllerKind, ControllerSettings, NoSettings, Telemetry, Value, own_settings
-from tepm_opt.control.estimation.kalman_filter import Operating
+from tepm_opt.control.estimation.kalman_filter import DiscreteModalModel
 from tepm_opt.control.mpc.prediction import Weights, compensate_tip_bias, compute_holding_forces
 from tepm_opt.control.mpc.settings import DAMPING
 from tepm_opt.control.references.reference import Reference
@@ -71,7 +71,7 @@ class Station:
         follow: forces by modal forces that they shall make, (actuators, modes).
     """
 
-    operating: Operating
+    operating: DiscreteModalModel
     A: np.ndarray
     correct: np.ndarray
     feedback: np.ndarray
@@ -97,7 +97,7 @@ class Lqg:
         step, planner = robot.actuation.pressure_step, settings.pressure_planner
         self._planner = PressurePlanner(self._pressure_max, step, planner)
         self._noise = max((robot.tracker.noise_rms_m if robot.tracker else 1e-3) / np.sqrt(3), 1e-6)
-        self._stations = self._scheduled()
+        self._stations = self._schedule_gains()
         self._dynamic = self._feed_forward()
         first = self.start()
         lags = RegulatorLags(self.devices, self.period, self._pressure_max, first.pressures)
@@ -151,15 +151,17 @@ class Lqg:
     def _station(self, row: int) -> Station:
         return self._stations[min(int(self.reference.rows_at(row)) // SPACING, len(self._stations) - 1)]
 
-    def _scheduled(self) -> Sequence[Station]:
+    def _schedule_gains(self) -> Sequence[Station]:
         """Gains along the reference, each from the modes of the one before."""
         newest, found = None, []
         for row in range(0, len(self.reference), SPACING):
             newest = modal_model(self.reference.equilibria[row], newest)
-            found.append(self._gains(Operating.from_modal_model(newest.damped(DAMPING), self.reference.forces[row], self.period)))
+            found.append(
+                self._gains(DiscreteModalModel.from_modal_model(newest.scale_damping(DAMPING), self.reference.forces[row], self.period))
+            )
         return found
 
-    def _gains(self, operating: Operating) -> Station:
+    def _gains(self, operating: DiscreteModalModel) -> Station:
         """Gains of regulator and filter at an operating point."""
         from control import dlqe, dlqr  # takes a second to import
 

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tepm_opt.control.collision.model import KeepOut
+from tepm_opt.control.collision.model import CollisionModel
 
 if TYPE_CHECKING:
-    from tepm_opt.control.mpc.prediction import Horizon
+    from tepm_opt.control.mpc.prediction import CondensedOcp
     from tepm_opt.control.references.reference import Reference
     from tepm_opt.solvers.modal_model import ModalModel
 
@@ -23,7 +23,7 @@ PRESSED = 1e-3  # m within a margin, as it is foreseen, from which the pressures
 WEIGHT = 10.0  # how much more a millimetre within the margin matters than a millimetre of the tip's error
 
 
-class KeepOutRows:
+class CollisionConstraints:
     """The soft rows of the program in the deviations of the forces at stages 1 …; always as many.
 
     Args:
@@ -35,12 +35,12 @@ class KeepOutRows:
         count: of the rows.
     """
 
-    def __init__(self, keep_out: KeepOut, reference: Reference, stages: int) -> None:
+    def __init__(self, keep_out: CollisionModel, reference: Reference, stages: int) -> None:
         self.keep_out, self._reference = keep_out, keep_out.locate_watched_points(reference.equilibria)
         self.count = min(ROWS, (stages - 1) * len(keep_out.names) * len(keep_out.obstacles.names))
 
     def linearise(
-        self, horizon: Horizon, modal: ModalModel, rows: np.ndarray, bias: np.ndarray, begin: np.ndarray, plan: np.ndarray | None
+        self, horizon: CondensedOcp, modal: ModalModel, rows: np.ndarray, bias: np.ndarray, begin: np.ndarray, plan: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray]:
         """Linearise the least distances: R and r of R v ≥ r, (rows, stages · actuators) and (rows,) in m.
 

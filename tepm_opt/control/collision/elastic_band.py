@@ -15,7 +15,7 @@ import numpy as np
 import scipy.linalg as sla
 from scipy.interpolate import CubicSpline
 
-from tepm_opt.control.collision.model import KeepOut
+from tepm_opt.control.collision.model import CollisionModel
 from tepm_opt.control.references.reference import Reference
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel
@@ -44,7 +44,7 @@ class _Sensed:
     room: np.ndarray
 
 
-def detour(model: CompiledModel, reference: Reference, keep_out: KeepOut, progress: Progress = silent) -> Reference:
+def detour(model: CompiledModel, reference: Reference, keep_out: CollisionModel, progress: Progress = silent) -> Reference:
     """The reference with every watched point out of the margins, its tips moved as little and as smoothly as that allows.
 
     Args:
@@ -96,7 +96,7 @@ def _stretches(touches: np.ndarray, reach: int) -> Iterator[slice]:
 class _Band:
     """One stretch of a reference that is led round obstacles, at knots `SPACING` apart; its ends join what is before and after."""
 
-    def __init__(self, model: CompiledModel, keep_out: KeepOut, reference: Reference, stretch: slice) -> None:
+    def __init__(self, model: CompiledModel, keep_out: CollisionModel, reference: Reference, stretch: slice) -> None:
         self._model, self._keep_out, self._period = model, keep_out, reference.step
         self._stretch, self._free = stretch, (stretch.start == 0, stretch.stop == len(reference))
         apart = max(1, round(SPACING / reference.step))
@@ -139,11 +139,11 @@ class _Band:
 
     def _step(self, most: float) -> float:
         """One iteration, in which no force changes by more than `most` in N; the largest change."""
-        wanted = self._solved()
+        wanted = self._solve_forces()
         change = wanted - self.forces
         part = min(1.0, most / max(float(np.abs(change).max()), 1e-12))
         for _ in range(6):
-            found = self._balanced(self.forces + part * change)
+            found = self._solve_equilibria(self.forces + part * change)
             if found is not None:
                 break
             part /= 2
@@ -153,7 +153,7 @@ class _Band:
         self._linearise()
         return part * float(np.abs(change).max())
 
-    def _balanced(self, forces: np.ndarray) -> list[Equilibrium] | None:
+    def _solve_equilibria(self, forces: np.ndarray) -> list[Equilibrium] | None:
         """Equilibria of forces, each from the one before it was changed; None where one has none."""
         found = []
         for row, start in zip(forces, self.equilibria, strict=True):
@@ -176,7 +176,7 @@ class _Band:
             room = (distances - self._keep_out.obstacles.margins).ravel()
             self._sensed.append(_Sensed(rows, room))
 
-    def _solved(self) -> np.ndarray:
+    def _solve_forces(self) -> np.ndarray:
         """Forces of least cost with distances as they are linearised, (periods, actuators) in N."""
         count, inputs = self.forces.shape
         shift = self.forces - self._first

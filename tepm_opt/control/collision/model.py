@@ -39,7 +39,7 @@ class Nearest:
 
 
 @dataclass(frozen=True, eq=False)
-class KeepOut:
+class CollisionModel:
     """Obstacles beside a model's arm.
 
     Attributes:
@@ -71,15 +71,15 @@ class KeepOut:
         own = [np.interp(self._others, [0.0, *heights], [0.0, *unit]) for unit in np.eye(layout.points)]
         return np.vstack([np.eye(layout.points), np.array(own).T.reshape(-1, layout.points)])
 
-    def watched(self, points: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-        """Watched points (…, watched, 3) of reference points (…, points, 3) and all nodes (…, n + 1, actuators, 3), in m in G."""
+    def stack_watched_points(self, points: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+        """Stack the watched points (…, watched, 3) of reference points (…, points, 3) and all nodes (…, n + 1, actuators, 3), in m in G."""
         return np.concatenate([points, nodes[..., self._others, :, :].mean(axis=-2)], axis=-2)
 
     def locate_watched_points(self, equilibria: Sequence[Equilibrium]) -> np.ndarray:
         """Locate the watched points of equilibria, (equilibria, watched, 3) in m in G."""
         mount = self.model.robot.mount
         nodes = np.array([at.nodes for at in equilibria]) @ mount.rotation.T + np.array(mount.base_position_m)
-        return self.watched(np.array([at.points for at in equilibria]), nodes)
+        return self.stack_watched_points(np.array([at.points for at in equilibria]), nodes)
 
     def observe(self, modal: ModalModel) -> np.ndarray:
         """Watched points in G by modal coordinates, (watched, 3, modes) in 1/√kg."""
@@ -88,8 +88,8 @@ class KeepOut:
         turned = np.einsum("ij,ljm->lim", self.model.robot.mount.rotation, shapes)
         return np.concatenate([modal.observe.reshape(layout.points, 3, -1), turned])
 
-    def estimated(self, estimate: StateEstimate) -> np.ndarray:
-        """Watched points where the filter has them, (watched, 3) in m in G."""
+    def estimate_watched_points(self, estimate: StateEstimate) -> np.ndarray:
+        """Estimate the watched points by the filter, (watched, 3) in m in G."""
         modal = estimate.operating.model
         return (
             self.locate_watched_points([modal.equilibrium])[0]
@@ -103,7 +103,7 @@ class KeepOut:
 
     def columns(self, estimate: StateEstimate) -> dict[str, float | str]:
         """Columns of the log: the least distance as the filter has it, in m, and between what."""
-        least = self.nearest(self.estimated(estimate))
+        least = self.nearest(self.estimate_watched_points(estimate))
         return {DISTANCE: least.distance, OBSTACLE: least.obstacle, POINT: least.point}
 
     def at_rest(self) -> str:

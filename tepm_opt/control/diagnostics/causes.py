@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import log_ndtr
 
-from tepm_opt.control.diagnostics.change_detection import Left
+from tepm_opt.control.diagnostics.change_detection import GlrStatistics
 
 BODY, REGULATOR, MOTOR = "body", "regulator", "motor"
 FILLING, EMPTYING, ZERO, LEAK = range(4)  # columns of the regulators
@@ -50,8 +50,8 @@ class Cause:
         )
 
 
-class Weighed:
-    """Causes beside each other.
+class FaultHypothesisTest:
+    """Test of the hypotheses of a fault, cause by cause, against each other.
 
     Args:
         causes: all of them.
@@ -71,7 +71,7 @@ class Weighed:
         self._prior = np.log([cause.prior for cause in causes])
         self._slower = [cause.columns == (FILLING, EMPTYING) and cause.regression == REGULATOR for cause in causes]
 
-    def evidence(self, left: Mapping[str, Left]) -> tuple[np.ndarray, np.ndarray]:
+    def evidence(self, left: Mapping[str, GlrStatistics]) -> tuple[np.ndarray, np.ndarray]:
         """Logarithm of the evidence over no change at each mark, with the prior, and sizes, (marks, causes) each.
 
         Sizes are integrated over their normal prior, of which half is left where it is one-sided.
@@ -107,7 +107,7 @@ def causes(actuators: Sequence[str], points: Sequence[str], body: Mapping[str, s
 
     Args:
         actuators, points: their names.
-        body: slices of the columns of the tracked points, as `Signatures.body`.
+        body: slices of the columns of the tracked points, as `FaultRegressors.body`.
     """
     at = {name: part.start for name, part in body.items()}
     kind = 1 / 12  # all kinds alike, and all muscles and points within one

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 
-class Coloured:
+class PrewhiteningFilter:
     """Whitening of measurements whose noise is white noise, slow disturbances (Gauss-Markov) and what belongs to a place and is the same
     whenever it is come to: by a Kalman filter that goes over measurements and regressors alike (generalised least squares; Harvey,
     Forecasting, structural time series models, 1989, section 3.4).
@@ -35,10 +35,8 @@ class Coloured:
         self._place, self._own = -1, slice(0, outputs)
         self._known: dict[int, tuple[np.ndarray, np.ndarray]] = {}
 
-    def whitened(
-        self, rows: np.ndarray, seen: np.ndarray, white: np.ndarray, place: int, prior: np.ndarray, again: np.ndarray
-    ) -> np.ndarray:
-        """Independent rows of unit variance, for rows of measurements and regressors.
+    def whiten(self, rows: np.ndarray, seen: np.ndarray, white: np.ndarray, place: int, prior: np.ndarray, again: np.ndarray) -> np.ndarray:
+        """Whiten rows of measurements and regressors: independent rows of unit variance.
 
         Args:
             rows: (outputs, columns).
@@ -70,7 +68,7 @@ class Coloured:
 
 
 @dataclass(frozen=True, eq=False)
-class Left:
+class GlrStatistics:
     """Score and information of a change by its time, per column, after removal of what θ explains.
 
     Attributes:
@@ -109,7 +107,7 @@ class Sums:
         """Let a change be possible from the next row on."""
         self._marks.append((self._sum, self._rows))
 
-    def score_changes(self) -> Left:
+    def score_changes(self) -> GlrStatistics:
         """Score and information of a change at each mark, the oldest first; the noise is the residual before the first mark."""
         begun, rows = self._marks[0]
         noise = np.maximum((begun[:, 0, 0] - self._sum_explained_squares(begun)) / rows, self._least)
@@ -119,7 +117,7 @@ class Sums:
         since = whole - np.array([sums for sums, _ in self._marks])
         part = since[..., 1:, 1:]
         score = (since[..., 1:, 0] - (part @ theta[..., None])[..., 0]) / noise[:, None]
-        return Left(score, (part - part @ inverse @ part) / noise[:, None, None], theta)
+        return GlrStatistics(score, (part - part @ inverse @ part) / noise[:, None, None], theta)
 
     def _sum_explained_squares(self, sums: np.ndarray) -> np.ndarray:
         by = sums[:, 1:, :1]

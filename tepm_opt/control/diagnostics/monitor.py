@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tepm_opt.control.controller import Controller, Prepares, Telemetry
-from tepm_opt.control.diagnostics.causes import BODY, MOTOR, REGULATOR, Weighed, causes
-from tepm_opt.control.diagnostics.change_detection import Coloured, Left, Sums
-from tepm_opt.control.diagnostics.signatures import BLOCK, Rows, Signatures
+from tepm_opt.control.diagnostics.causes import BODY, MOTOR, REGULATOR, FaultHypothesisTest, causes
+from tepm_opt.control.diagnostics.change_detection import GlrStatistics, PrewhiteningFilter, Sums
+from tepm_opt.control.diagnostics.signatures import BLOCK, FaultRegressors, Rows
 from tepm_opt.control.references.reference import Reference
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.models.compile import CompiledModel
@@ -115,11 +115,11 @@ class Monitor:
 
     def __init__(self, model: CompiledModel, reference: Reference, first: Command, settings: MonitorSettings = DEFAULT) -> None:
         self.settings, self._reference = settings, reference
-        self._signatures = Signatures(model, reference, first)
+        self._signatures = FaultRegressors(model, reference, first)
         layout, tracker = model.layout, model.robot.tracker
         self._causes = causes(layout.actuator_names, layout.point_names, self._signatures.body)
         columns = {BODY: len(self._signatures.spreads), REGULATOR: len(REGULATORS), MOTOR: len(MOTORS)}
-        self._weighed = Weighed(self._causes, columns)
+        self._weighed = FaultHypothesisTest(self._causes, columns)
         self._count, self._coordinates = len(first.tensions), 3 * layout.points
         self._white = ((tracker.noise_rms_m if tracker else 1e-3) ** 2 / 3 / BLOCK) * np.eye(self._coordinates)
         self._places, self._at, self._new = np.zeros((0, 6)), -1, True
@@ -136,7 +136,7 @@ class Monitor:
         settings, count, spreads = self.settings, self._count, self._signatures.spreads
         slow = np.repeat([settings.force_drift, settings.point_drift], [count, self._coordinates])
         times = np.repeat([settings.force_time, settings.point_time], [count, self._coordinates])
-        self._coloured = Coloured(slow, times, self._coordinates, 1 + len(spreads), BLOCK * self._reference.period)
+        self._coloured = PrewhiteningFilter(slow, times, self._coordinates, 1 + len(spreads), BLOCK * self._reference.period)
         kinds = ((BODY, spreads, 1), (REGULATOR, REGULATORS, count), (MOTOR, MOTORS, count))
         self._sums = {name: Sums(of, machines, settings.marks, settings.least_noise) for name, of, machines in kinds}
         self._times: list[float] = []
@@ -171,7 +171,7 @@ class Monitor:
         own = settings.place_force**2 * pulled + settings.place_points**2 * np.eye(outputs)
         seen = np.hstack([rows.gain, np.eye(outputs)])
         place, learning = self._place(rows.place), not self._times
-        whitened = self._coloured.whitened(rows.points, seen, white, place, own, settings.again_force**2 * pulled)
+        whitened = self._coloured.whiten(rows.points, seen, white, place, own, settings.again_force**2 * pulled)
         if learning or not self._new:
             self._sums[BODY].add(whitened[None])
         if (rise := rows.pressures) is not None:
@@ -194,7 +194,7 @@ class Monitor:
 
     def _look(self, now: float) -> None:
         """Whether something changed, by a time in s of the run."""
-        left: dict[str, Left] = {name: sums.score_changes() for name, sums in self._sums.items()}
+        left: dict[str, GlrStatistics] = {name: sums.score_changes() for name, sums in self._sums.items()}
         found, sizes = self._weighed.evidence(left)
         each = np.logaddexp.reduce(found, axis=0) - np.log(len(self._times))
         self.evidence = float(np.logaddexp.reduce(each))
@@ -264,8 +264,8 @@ class Watched:
             self._fresh = None
 
 
-def watched(controller: Controller, model: CompiledModel, settings: MonitorSettings = DEFAULT) -> Controller:
-    """A controller with a monitor beside it; the controller itself where its reference does not go by time alone or the arm is guided."""
+def attach_monitor(controller: Controller, model: CompiledModel, settings: MonitorSettings = DEFAULT) -> Controller:
+    """Attach a monitor to a controller; not where its reference does not go by time alone or the arm is guided."""
     reference = controller.reference
     if type(reference) is not Reference or model.layout.guided:
         return controller

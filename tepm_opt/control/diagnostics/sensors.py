@@ -48,7 +48,7 @@ class TrackerNoise:
         return self.measured
 
 
-class Doubts:
+class SensorDiagnostics:
     """Warnings about gauges, devices, delay and tracker, one sentence each.
 
     Args:

@@ -30,7 +30,7 @@ DIFFERS = {
     "strength": 0.08, "stiffness": 0.06, "tension": 0.1, "force": 0.3, "friction": 0.6, "elastic": 0.4, "hysteresis": 0.4, "wide": 0.4,
     "load": 0.01, "tilt": 0.005, "mass": 0.05, "points": 4e-3,
 }  # fmt: skip
-"""Standard deviations by which machines differ from their model from the start, in the units of `Signatures.body`."""
+"""Standard deviations by which machines differ from their model from the start, in the units of `FaultRegressors.body`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ class Rows:
     Attributes:
         time: of its middle in s.
         gain: of the points by axial forces, (3 · points, actuators) in m/N.
-        points: what is measured beside the model and the columns of `Signatures.body`, (3 · points, 1 + columns).
+        points: what is measured beside the model and the columns of `FaultRegressors.body`, (3 · points, 1 + columns).
         pressures: rise of the pressure and its columns (what fills and what empties in Pa s, time in s, what a leak takes in Pa s),
             (actuators, 1 + 4); None without pressure monitors.
         tensions: what dynamometers read beside the motors and its columns (1, minus the motors' rate in N/s), (actuators, 1 + 2); None
@@ -69,8 +69,8 @@ class _Block:
     tensions: np.ndarray | None
 
 
-class Signatures:
-    """Rows of a loop.
+class FaultRegressors:
+    """Regressors by which faults of the machine show in a loop, row by row.
 
     Args:
         model: the controller's.

@@ -12,7 +12,7 @@ from itertools import product
 
 import numpy as np
 
-from tepm_opt.control.estimation.kalman_filter import DEFAULT, Estimator, FilterSettings, Operating
+from tepm_opt.control.estimation.kalman_filter import DEFAULT, DiscreteModalModel, Estimator, FilterSettings
 from tepm_opt.errors import InputError
 from tepm_opt.progress import Progress, silent, track
 
@@ -37,7 +37,7 @@ class FilterInputs:
         middle: tension about which the motors work in N.
     """
 
-    operating: Sequence[Operating]
+    operating: Sequence[DiscreteModalModel]
     noise: np.ndarray
     points: np.ndarray
     forces: np.ndarray

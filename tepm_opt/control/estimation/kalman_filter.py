@@ -101,7 +101,7 @@ DEFAULT = FilterSettings()
 
 
 @dataclass(frozen=True, eq=False)
-class Operating:
+class DiscreteModalModel:
     """A modal model in discrete time.
 
     Attributes:
@@ -120,7 +120,7 @@ class Operating:
     period: float
 
     @staticmethod
-    def from_modal_model(model: ModalModel, forces: np.ndarray, period: float) -> Operating:
+    def from_modal_model(model: ModalModel, forces: np.ndarray, period: float) -> DiscreteModalModel:
         """Discrete model, exact for forces linear in a period (Franklin, Powell, Workman, Digital Control, 1998, section 6.3)."""
         count = len(model.stiffness)
         A = np.zeros((2 * count, 2 * count))
@@ -131,13 +131,13 @@ class Operating:
         forced[count:] = np.eye(count)
         once = np.linalg.solve(A, moved[:, count:] - forced)
         end = np.linalg.solve(A, once - period * forced) / period
-        return Operating(model, forces, moved, once - end, end, period)
+        return DiscreteModalModel(model, forces, moved, once - end, end, period)
 
     def __repr__(self) -> str:
-        return f"Operating(modes={len(self.model.stiffness)}, period={self.period:g} s)"
+        return f"DiscreteModalModel(modes={len(self.model.stiffness)}, period={self.period:g} s)"
 
-    def doubled(self) -> Operating:
-        """The same model over two periods."""
+    def double_period(self) -> DiscreteModalModel:
+        """Discretise the same model over two periods."""
         start = self.A @ (self.start + self.end / 2) + self.start / 2
         end = self.A @ (self.end / 2) + self.start / 2 + self.end
         return replace(self, A=self.A @ self.A, start=start, end=end, period=2 * self.period)
@@ -147,12 +147,12 @@ class Operating:
         pushed = (forces - self.forces) @ self.model.drive.T
         return self.A @ state + self.start @ pushed[0] + self.end @ pushed[1]
 
-    def seen_from(self, other: Operating) -> tuple[np.ndarray, np.ndarray]:
+    def seen_from(self, other: DiscreteModalModel) -> tuple[np.ndarray, np.ndarray]:
         """Turn T and shift t of modal coordinates q that are meant about `other`: about this one they are T q + t."""
         weights = self.model.weights
         return weights @ other.model.shapes, weights @ (other.model.levels - self.model.levels)
 
-    def transform_motion_to(self, motion: np.ndarray, other: Operating) -> np.ndarray:
+    def transform_motion_to(self, motion: np.ndarray, other: DiscreteModalModel) -> np.ndarray:
         """Transform a motion [q, q'] about this operating point, (2 · modes,), to one about another point."""
         if other is self:
             return motion
@@ -180,7 +180,7 @@ class StateEstimate:
         refused: points taken for outliers, (points,) of bool.
     """
 
-    operating: Operating
+    operating: DiscreteModalModel
     motion: np.ndarray
     unknown: np.ndarray
     strength: np.ndarray
@@ -228,7 +228,7 @@ class Estimator:
         mean, covariance: of the state.
     """
 
-    def __init__(self, operating: Operating, noise: float, middle: float, settings: FilterSettings = DEFAULT) -> None:
+    def __init__(self, operating: DiscreteModalModel, noise: float, middle: float, settings: FilterSettings = DEFAULT) -> None:
         self.operating, self.settings, self.noise, self.middle = operating, settings, noise, middle
         modes, actuators = operating.model.drive.shape
         outputs = len(operating.model.observe)
@@ -249,7 +249,7 @@ class Estimator:
         self._outlying = np.zeros(outputs // 3, dtype=int)
         self._nis, self._seen = np.nan, 0
 
-    def predict(self, forces: np.ndarray, tension: np.ndarray, rates: np.ndarray, then: Operating) -> Transition:
+    def predict(self, forces: np.ndarray, tension: np.ndarray, rates: np.ndarray, then: DiscreteModalModel) -> Transition:
         """Advance the estimate by one period; returns the transition of the state that it used.
 
         Args:
@@ -270,7 +270,7 @@ class Estimator:
         self.operating = then
         return done
 
-    def _transition(self, forces: np.ndarray, tension: np.ndarray, turning: np.ndarray, then: Operating) -> Transition:
+    def _transition(self, forces: np.ndarray, tension: np.ndarray, turning: np.ndarray, then: DiscreteModalModel) -> Transition:
         """Transition over one period in which frictions turned over by `turning`, (actuators,) of 0 … 2."""
         settings = self._settings_without_tip if self.is_blind else self.settings
         now, size, modes = self.operating, len(self.mean), self._modes

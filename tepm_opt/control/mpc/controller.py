@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from tepm_opt.control.controller import ControllerKind, ControllerSettings, Telemetry, own_settings
 from tepm_opt.control.diagnostics.marker_slip import Markers
-from tepm_opt.control.diagnostics.sensors import Doubts
+from tepm_opt.control.diagnostics.sensors import SensorDiagnostics
 from tepm_opt.control.mpc.compiled.setup import StepSetup
 from tepm_opt.control.mpc.compiled.step import CompiledStep
 from tepm_opt.control.mpc.python_step import PythonStep
@@ -29,7 +29,7 @@ def make_step(setup: StepSetup) -> ControlStep:
         InputError: backend "c" where the step cannot be in C.
     """
     half = len(setup.tension_max)
-    doubts = Doubts(setup.model.layout.actuator_names, (setup.model.robot.input_max[:half], setup.tension_max))
+    doubts = SensorDiagnostics(setup.model.layout.actuator_names, (setup.model.robot.input_max[:half], setup.tension_max))
     return CompiledStep.from_setup(setup, doubts) or PythonStep(setup, doubts)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.linalg as sla
 
-from tepm_opt.control.estimation.kalman_filter import Operating
+from tepm_opt.control.estimation.kalman_filter import DiscreteModalModel
 from tepm_opt.control.references.reference import Reference
 from tepm_opt.solvers.modal_model import ModalModel
 
@@ -46,7 +46,7 @@ def compensate_tip_bias(model: ModalModel, bias: np.ndarray) -> np.ndarray:
     return -by_tip.T @ np.linalg.solve(by_tip @ by_tip.T + NOTHING**2 * np.eye(3), bias)
 
 
-class Horizon:
+class CondensedOcp:
     """Reference over the coming stages, the arm's free motion beside it, and the terminal cost.
 
     Attributes:
@@ -71,14 +71,14 @@ class Horizon:
         """
         self._weights, self.stages, self.is_blind = weights, stages, False
         self.value = np.zeros(0)
-        self._before: Operating | None = None
+        self._before: DiscreteModalModel | None = None
 
     @property
     def weights(self) -> Weights:
         """Weights of the cost while the tip is seen, or while it is lost."""
         return replace(self._weights, tip=self._weights.blind_tip) if self.is_blind else self._weights
 
-    def prepare(self, operating: Operating, reference: Reference, rows: np.ndarray) -> None:
+    def prepare(self, operating: DiscreteModalModel, reference: Reference, rows: np.ndarray) -> None:
         """Take a new present, of which no sample has been seen yet.
 
         Args:
@@ -86,7 +86,7 @@ class Horizon:
             reference: what is followed.
             rows: rows of the reference at stages −1, 0, 1, …, (stages + 3,) or more.
         """
-        model, two = operating.model, operating.doubled()
+        model, two = operating.model, operating.double_period()
         path = (reference.levels[rows] - model.levels) @ model.weights.T
         rate = (path[2:] - path[:-2]) / (2 * two.period)
         way = np.diff(reference.tips[rows[1 : self.stages + 2]], axis=0)
@@ -116,7 +116,7 @@ class Horizon:
         for k in range(self.stages):
             self.free[k + 1] = self.stage.A @ self.free[k] + self._pushed[:, k]
 
-    def _turn(self, operating: Operating) -> None:
+    def _turn(self, operating: DiscreteModalModel) -> None:
         """The cost beyond the last stage, one step of the Riccati recursion on, about the new operating point."""
         A, start, end, weights = self.stage.A, self.by_start, self.by_end, self.weights
         states, inputs = start.shape
@@ -160,7 +160,7 @@ class Horizon:
         return np.vstack([observe[-3:] / self.weights.tip, observe[:-3] / self.weights.shape])
 
 
-class Forecast:
+class PredictionModel:
     """Cost of the forces at the coming stages, as a program in their deviations from the reference's: ½ vᵀ H v + fᵀ v.
 
     Attributes:
@@ -176,12 +176,12 @@ class Forecast:
             weights: of the cost.
             stages: how many.
         """
-        self.horizon = Horizon(weights, stages)
+        self.horizon = CondensedOcp(weights, stages)
         behind = np.arange(stages - 1)[:, None] - np.arange(stages)  # of stages 1 … stages − 1 behind the forces of stages 1 …
         self._lags, self._later = np.maximum(behind, 0), behind >= 0
 
-    def prepare(self, operating: Operating, reference: Reference, rows: np.ndarray) -> np.ndarray:
-        """Take a new present, see `Horizon.prepare`; H, (stages · actuators, stages · actuators)."""
+    def prepare(self, operating: DiscreteModalModel, reference: Reference, rows: np.ndarray) -> np.ndarray:
+        """Take a new present, see `CondensedOcp.prepare`; H, (stages · actuators, stages · actuators)."""
         horizon = self.horizon
         horizon.prepare(operating, reference, rows)
         self._respond()
@@ -199,7 +199,7 @@ class Forecast:
         return H
 
     def gradient(self, begin: np.ndarray) -> np.ndarray:
-        """f, (stages · actuators,), for a deviation of the forces at stage 0, (actuators,) in N, after `Horizon.set_initial_state`."""
+        """f, (stages · actuators,), for a deviation of the forces at stage 0, (actuators,) in N, after `CondensedOcp.set_initial_state`."""
         horizon, inputs = self.horizon, len(begin)
         weights, modes, size = horizon.weights, len(horizon.rest) // 2, horizon.stages * inputs
         free = horizon.free[1:] + self._first @ begin

@@ -20,18 +20,18 @@ import numpy as np
 
 from tepm_opt.control.actuation.actuators import Actuators
 from tepm_opt.control.actuation.pressure_planner import PERIODS
-from tepm_opt.control.collision.constraints import PRESSED, KeepOutRows
+from tepm_opt.control.collision.constraints import PRESSED, CollisionConstraints
 from tepm_opt.control.controller import Telemetry
-from tepm_opt.control.diagnostics.sensors import Doubts
+from tepm_opt.control.diagnostics.sensors import SensorDiagnostics
 from tepm_opt.control.estimation.dahl_friction import dahl_sequence, dahl_step
 from tepm_opt.control.estimation.kalman_filter import StateEstimate
 from tepm_opt.control.mpc.compiled.setup import StepSetup, rest_tension
-from tepm_opt.control.mpc.prediction import Forecast
+from tepm_opt.control.mpc.prediction import PredictionModel
 from tepm_opt.control.mpc.qp import QpResult
 from tepm_opt.control.mpc.record import LATE, Step, columns_of
 from tepm_opt.control.mpc.settings import Use
 from tepm_opt.control.mpc.state import Ahead, MpcState, OperatingPoints, Prepared
-from tepm_opt.control.mpc.tension_qp import TensionProgram
+from tepm_opt.control.mpc.tension_qp import TensionQp
 from tepm_opt.hw.rig import Command, Sample
 
 
@@ -46,15 +46,15 @@ class PythonStep:
         fallbacks, last: see `ControlStep`.
     """
 
-    def __init__(self, setup: StepSetup, doubts: Doubts) -> None:
+    def __init__(self, setup: StepSetup, doubts: SensorDiagnostics) -> None:
         settings, reference = setup.controller, setup.reference
         self._setup, self._doubts, self._points = setup, doubts, OperatingPoints(setup)
         self._state = MpcState.at_rest(setup, self._points.find(0))
-        self._keep_out = None if reference.keep_out is None else KeepOutRows(reference.keep_out, reference, settings.stages)
+        self._keep_out = None if reference.keep_out is None else CollisionConstraints(reference.keep_out, reference, settings.stages)
         kept_rows = 0 if self._keep_out is None else self._keep_out.count
         most = setup.devices.tension_rate * (PERIODS * reference.period)
-        self._program = TensionProgram(settings, setup.tension_max, most, kept_rows)
-        self._forecast = Forecast(settings.weights, settings.stages)
+        self._program = TensionQp(settings, setup.tension_max, most, kept_rows)
+        self._forecast = PredictionModel(settings.weights, settings.stages)
         self._rest_tension = rest_tension(settings, setup.tension_max)
         self._ready: Prepared | None = None
         self.last: Step | None = None
@@ -72,7 +72,7 @@ class PythonStep:
 
     def prepare(self) -> None:
         """See `ControlStep`."""
-        self._ready = self._prepared(self._state.row + (self.last is not None))
+        self._ready = self._prepare(self._state.row + (self.last is not None))
 
     def feedback(self, sample: Sample, deadline: float) -> Command:
         """See `ControlStep`."""
@@ -80,7 +80,7 @@ class PythonStep:
         row = max(state.sent.take_time(sample.time), state.row)
         ready = self._ready
         if ready is None or (ready.row, ready.ahead) != (row, self.ahead):
-            ready = self._prepared(row)
+            ready = self._prepare(row)
         self._ready, state.taken = None, sample
         passed, state.row = row - state.row, row
         state.estimator, state.actuators = ready.estimator, ready.actuators
@@ -115,7 +115,7 @@ class PythonStep:
             state.late, state.quicker = state.sent.late + state.actuators.late, state.actuators.lags.quicker
             state.taken = None
 
-    def _prepared(self, row: int) -> Prepared:
+    def _prepare(self, row: int) -> Prepared:
         """The preparation for a sample at a row of the reference."""
         self._note()
         state, reference, settings = self._state, self._setup.reference, self._setup.filter

@@ -11,7 +11,7 @@ from tepm_opt.control.actuation.actuators import Actuators, InputEffects
 from tepm_opt.control.actuation.delay_line import CommandDelayLine
 from tepm_opt.control.actuation.regulator_lags import RegulatorLags
 from tepm_opt.control.diagnostics.sensors import TrackerNoise
-from tepm_opt.control.estimation.kalman_filter import Estimator, Operating
+from tepm_opt.control.estimation.kalman_filter import DiscreteModalModel, Estimator
 from tepm_opt.control.mpc.compiled.layout import count_kept_points
 from tepm_opt.control.mpc.compiled.setup import StepSetup
 from tepm_opt.hw.rig import Sample
@@ -27,17 +27,19 @@ class OperatingPoints:
 
     def __init__(self, setup: StepSetup) -> None:
         self._setup, self._kept = setup, count_kept_points(setup.ahead)
-        self._found: dict[int, tuple[int, Operating]] = {}
+        self._found: dict[int, tuple[int, DiscreteModalModel]] = {}
         self._newest: ModalModel | None = None
 
-    def find(self, period: int) -> Operating:
+    def find(self, period: int) -> DiscreteModalModel:
         """The model about the reference at a period, linearised where it is not kept."""
         reference = self._setup.reference
         row = int(reference.rows_at(period))
         at, found = self._found.get(row % self._kept, (-1, None))
         if found is None or at != row:
             self._newest = modal_model(reference.equilibria[row], self._newest)
-            found = Operating.from_modal_model(self._newest.damped(self._setup.controller.damping), reference.forces[row], reference.period)
+            found = DiscreteModalModel.from_modal_model(
+                self._newest.scale_damping(self._setup.controller.damping), reference.forces[row], reference.period
+            )
             self._found[row % self._kept] = row, found
         return found
 
@@ -78,7 +80,7 @@ class MpcState:
     taken: Sample | None = None
 
     @staticmethod
-    def at_rest(setup: StepSetup, operating: Operating) -> MpcState:
+    def at_rest(setup: StepSetup, operating: DiscreteModalModel) -> MpcState:
         """The state before the first sample, at an operating point."""
         first, period, settings = setup.first, setup.reference.period, setup.controller
         lags = RegulatorLags(setup.devices, period, setup.planner.limits, first.pressures)
@@ -111,7 +113,7 @@ class Prepared:
     rows: np.ndarray
     estimator: Estimator
     actuators: Actuators
-    then: Operating
+    then: DiscreteModalModel
     directions: np.ndarray
     courses: np.ndarray
     foreseen: np.ndarray

@@ -12,7 +12,7 @@ Rows = tuple[np.ndarray, np.ndarray]
 """R and r of soft rows R v ≥ r in the deviations v of the forces, (rows, stages · actuators) and (rows,)."""
 
 
-class TensionProgram:
+class TensionQp:
     """Tensions λ of the coming stages, of which the axial forces' deviations are v = offset − factor λ, within their range and rate.
 
     Args:
@@ -45,7 +45,7 @@ class TensionProgram:
             gradient: f in the deviations of the forces, (stages · actuators,).
             offset: (stages, actuators) in N.
             tension: now, (actuators,) in N.
-            kept: soft rows in v, as many as were announced, see `KeepOutRows`.
+            kept: soft rows in v, as many as were announced, see `CollisionConstraints`.
         """
         scale, solver = self._scale, self._solver
         f = scale * (gradient + self._hessian @ offset.ravel())

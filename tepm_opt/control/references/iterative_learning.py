@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
-from tepm_opt.control.references.reference import rising
+from tepm_opt.control.references.reference import minimum_jerk
 from tepm_opt.errors import InputError
 
 
@@ -96,16 +96,16 @@ class Learner:
             if not self.errors or error <= min(self.errors):
                 self.best = self.correction
             gain = self._part * self.settings.gain / (1 + self.settings.fading * len(self.errors))
-            taken = self.correction + gain * self._repeating(rows[seen], short[seen])
+            taken = self.correction + gain * self._filter_repeating_error(rows[seen], short[seen])
         self.errors.append(error)
         length = np.linalg.norm(taken, axis=1, keepdims=True)
         self.correction = taken * np.minimum(1.0, self.settings.largest / np.maximum(length, 1e-12))
 
-    def _repeating(self, rows: np.ndarray, short: np.ndarray) -> np.ndarray:
+    def _filter_repeating_error(self, rows: np.ndarray, short: np.ndarray) -> np.ndarray:
         """Part of the tip's error that may repeat, at every target, (periods, 3) in m; linear between samples."""
         settings, every = self.settings, np.arange(len(self.path))
         whole = np.stack([np.interp(every, rows, column) for column in short.T], axis=1)
         low_pass = butter(2, 2 * settings.bandwidth * self.period, output="sos")
         slow = sosfiltfilt(low_pass, whole, axis=0, padlen=min(len(whole) - 1, round(1 / (settings.bandwidth * self.period))))
         early = slow[np.minimum(every + round(settings.lead / self.period), len(every) - 1)]
-        return early * rising(every * self.period / settings.begin)[:, None]
+        return early * minimum_jerk(every * self.period / settings.begin)[:, None]

@@ -32,7 +32,7 @@ class PathClock:
 
 
 @dataclass(frozen=True, eq=False)
-class FreeReference(Reference):
+class PathFollowingReference(Reference):
     """A reference whose rows are `FINE` times denser than control periods, passed at a pace that the controller governs.
 
     Attributes:
@@ -54,7 +54,7 @@ class FreeReference(Reference):
         passed = self.clock.passed
         return self.period * (len(passed) - 1) + self.step * (len(self) - 1 - passed[-1])
 
-    def rewind(self) -> FreeReference:
+    def rewind(self) -> PathFollowingReference:
         """Return the same path at its start, with a clock of its own."""
         return replace(self, clock=PathClock())
 

@@ -19,7 +19,7 @@ from tepm_opt.solvers.statics import Equilibrium, solve_statics
 from tepm_opt.solvers.trajectories import Trajectory
 
 if TYPE_CHECKING:
-    from tepm_opt.control.collision.model import KeepOut
+    from tepm_opt.control.collision.model import CollisionModel
 
 PERIOD = 0.01  # s, of control
 IK_DEFAULT = IkSettings()
@@ -49,7 +49,7 @@ class Reference:
     point: np.ndarray
     period: float = PERIOD
     wanted: np.ndarray | None = None
-    keep_out: KeepOut | None = None
+    keep_out: CollisionModel | None = None
     moved: np.ndarray | None = None
 
     @property
@@ -103,7 +103,7 @@ class Reference:
         return np.array([at.lengths.ravel() for at in self.equilibria])
 
 
-def rising(part: np.ndarray) -> np.ndarray:
+def minimum_jerk(part: np.ndarray) -> np.ndarray:
     """0 … 1 with speed and acceleration zero at both ends (minimum jerk: Flash and Hogan, J. Neurosci. 5, 1985)."""
     s = np.clip(part, 0.0, 1.0)
     return s**3 * (10 - 15 * s + 6 * s**2)
@@ -153,7 +153,7 @@ def approach(model: CompiledModel, target: np.ndarray, seconds: float, period: f
         period: of control in s.
     """
     rest = solve_statics(model, np.zeros(model.layout.inputs)).tip
-    part = rising(np.arange(0.0, 1.0, period / seconds))[:, None]
+    part = minimum_jerk(np.arange(0.0, 1.0, period / seconds))[:, None]
     return rest + part * (target - rest)
 
 
@@ -211,7 +211,7 @@ def point_by_point(targets: np.ndarray, move: float, stay: float, taken: float, 
     """
     each = round(stay / period)
     inside = period * np.arange(each)
-    parts, before = rising(inside / move)[:, None], targets[0]
+    parts, before = minimum_jerk(inside / move)[:, None], targets[0]
     tips = []
     for target in targets:
         tips.append(before + parts * (target - before))

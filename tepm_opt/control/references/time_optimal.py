@@ -55,14 +55,14 @@ class PaceSettings:
 DEFAULT = PaceSettings()
 
 
-def retimed(
+def retime(
     model: CompiledModel,
     trajectory: Trajectory,
     settings: PaceSettings = DEFAULT,
     kinematics: IkSettings = IK_DEFAULT,
     progress: Progress = silent,
 ) -> Trajectory:
-    """The same path as fast as actuators can follow; whatever time it had is forgotten.
+    """Retime a path to be as fast as actuators can follow; whatever time it had is forgotten.
 
     Args:
         model: the controller's.

@@ -40,7 +40,7 @@ def candidate(name: str, detail: str | None = None, layout: Layout | None = None
         {f"{label}.{parameter.name}": parameter.null for parameter in own},
         tuple({f"{label}.{p.name}": probe.get(p.name, p.probe) for p in own} for probe in ({}, *effect.further_probes)),
         "input" if inputs else "body",
-        effect.smooth and (not shape or effect.has("suggested")),
+        effect.smooth and (not shape or effect.has("suggest_values")),
         tuple(f"{label}.{p.name}" for p in own if p.is_shape),
         explains=effect.explains,
         part=effect.detail or "",
@@ -48,13 +48,13 @@ def candidate(name: str, detail: str | None = None, layout: Layout | None = None
         acts=tuple(kind for kind, own in hooks.items() if any(effect.has(hook) for hook in own)),
         exact=effect.exact,
         happens=f"{label}.{effect.happens}" if effect.happens else "",
-        suggested=partial(_suggest_values, effect, label) if effect.has("suggested") else None,
+        suggested=partial(_suggest_values, effect, label) if effect.has("suggest_values") else None,
     )
 
 
 def _suggest_values(effect: Effect, label: str, clock: np.ndarray, began: np.ndarray, left: np.ndarray) -> dict[str, float]:
-    """Values of `Effect.suggested` by full name."""
-    return {f"{label}.{name}": value for name, value in effect.suggested(clock, began, left).items()}
+    """Values of `Effect.suggest_values` by full name."""
+    return {f"{label}.{name}": value for name, value in effect.suggest_values(clock, began, left).items()}
 
 
 def candidates(model: Model) -> tuple[Candidate, ...]:

@@ -20,7 +20,7 @@ from tepm_opt.discrepancy.selection.matching_pursuit import odds
 from tepm_opt.discrepancy.selection.significance import is_significant
 from tepm_opt.discrepancy.symbolic.places import ALL, Place
 from tepm_opt.discrepancy.symbolic.score import Scored, alternatives
-from tepm_opt.solvers.hierarchy import clustering, off_centre
+from tepm_opt.solvers.hierarchy import compute_clustering_chances, off_centre
 from tepm_opt.solvers.identify import ParameterEstimate
 
 
@@ -244,5 +244,5 @@ def _independence(effect: Candidate, believed: Mapping[Candidate, float], explan
 def _chance_scatter(estimate: ParameterEstimate, effect: Candidate, modules: int, thresholds: AssessmentSettings) -> float:
     """Probability that parameters said to scatter over all actuators do so by chance, not by module or about another mean."""
     names = list(effect.parameters)
-    chances = [*clustering(estimate, modules, names), *off_centre(estimate, names)]
+    chances = [*compute_clustering_chances(estimate, modules, names), *off_centre(estimate, names)]
     return float(np.prod([1 / (1 + (thresholds.scatter_even_odds / max(chance, 1e-12)) ** 2) for chance in chances]))

@@ -16,7 +16,7 @@ from tepm_opt.data.frames import Tabular
 from tepm_opt.discrepancy.assessment.settings import DEFAULT, AssessmentSettings
 from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.discrepancy.setup.errors import SetupError
-from tepm_opt.solvers.text import format_names, html_table, shortened
+from tepm_opt.solvers.text import format_names, html_table, shorten
 
 
 class VerdictStatus(Enum):
@@ -214,7 +214,7 @@ class Verdict(Tabular):
     def __repr__(self) -> str:
         """The outcome and the main numbers, in a line."""
         effects = format_names([f"{named.candidate.label} {named.probability:.2f}" for named in self.effects], 2)
-        named = f", {shortened(effects, 60)}" if effects else ""
+        named = f", {shorten(effects, 60)}" if effects else ""
         return f"Verdict({self.status.value}{named}, {self.errors.gap_closed_fraction:.0%} of the gap closed)"
 
     def _repr_html_(self) -> str:

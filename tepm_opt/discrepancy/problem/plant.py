@@ -42,7 +42,7 @@ class Candidate:
         runs: files of the runs in which it acts; none for all of them.
         ranges: lowest and highest value by full name, of parameters that the plant knows within a narrower range or does not free.
         happens: full name of the parameter that is the instant at which it begins to act for good; empty where it has none.
-        suggested: values by full name of what says how it acts, from what a model leaves (see `models.effect.Effect.suggested`).
+        suggested: values by full name of what says how it acts, from what a model leaves (see `models.effect.Effect.suggest_values`).
     """
 
     name: str

@@ -24,7 +24,7 @@ from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.identify import OUT_OF_REACH, ParameterEstimate, Problem, identify
 from tepm_opt.solvers.parallel import in_parallel
 from tepm_opt.solvers.plant import PredictionError
-from tepm_opt.solvers.text import format_names, shortened
+from tepm_opt.solvers.text import format_names, shorten
 
 Effects = tuple[Candidate, ...]
 
@@ -39,7 +39,7 @@ class Hypothesis:
 
     def __repr__(self) -> str:
         """The main numbers, in a line."""
-        return f"Hypothesis({shortened(labels(self), 60)}, excess {self.excess:.3g})"
+        return f"Hypothesis({shorten(labels(self), 60)}, excess {self.excess:.3g})"
 
     @property
     def excess(self) -> float:

@@ -24,7 +24,7 @@ from tepm_opt.discrepancy.selection.run_subsets import list_helped_runs, list_ru
 from tepm_opt.discrepancy.selection.screening import Score, screen_pairs
 from tepm_opt.solvers.identify import Problem
 from tepm_opt.solvers.plant import PredictionError
-from tepm_opt.solvers.text import shortened
+from tepm_opt.solvers.text import shorten
 
 Groups = dict[Candidate, list[tuple[Hypothesis, float]]]
 
@@ -57,7 +57,7 @@ class Explanation:
 
     def __repr__(self) -> str:
         """The main numbers, in a line."""
-        return f"Explanation({shortened(labels(self.best), 60)}, closes {self.closes(self.best):.0%}, {len(self.tried)} fits)"
+        return f"Explanation({shorten(labels(self.best), 60)}, closes {self.closes(self.best):.0%}, {len(self.tried)} fits)"
 
     @property
     def gauge_effects(self) -> Effects:

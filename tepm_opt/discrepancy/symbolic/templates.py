@@ -60,7 +60,7 @@ from tepm_opt.models.effect import {imports}
     "rate_hook": """    def edge_drag(self, edge, length, rate, parameters, context):
         return -self.law(context.layout.segments * rate, parameters) if edge.kind == VERTICAL else ca.SX(0)
 """,
-    "chosen": '''    def chosen(self, state):
+    "chosen": '''    def mask_actuators(self, state):
         """1 where the law acts."""
         found = ca.DM.zeros(*state.shape)
         for k in AT:

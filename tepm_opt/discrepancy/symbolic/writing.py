@@ -205,7 +205,7 @@ def _write_memory(formula: Formula, shape: Memory, area: float) -> _Parts:
         parts.hook = TEXTS[f"edge_{name}"]
         return parts
     parts.law = "" if place.target == ALL else TEXTS["chosen"]
-    chosen = "ca.DM.ones(*state.shape)" if place.target == ALL else "self.chosen(state)"
+    chosen = "ca.DM.ones(*state.shape)" if place.target == ALL else "self.mask_actuators(state)"
     parts.hook = TEXTS[name].format(which=variable, chosen=chosen)
     return parts
 

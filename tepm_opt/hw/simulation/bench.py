@@ -66,7 +66,7 @@ class BenchRig:
         return f"BenchRig({self.file.name!r}, {self.time:.3f} s)"
 
     def reseed(self, noise: int, began: float = 0.0) -> None:
-        """Other noise of the same machine; 0 is the rig file's own. A bench starts each session anew."""
+        """Draw other noise for the same machine; 0 is the rig file's own. A bench starts each session anew."""
         self._lens = Lens(self.file.tracker, 2, self.file.seed, noise)
 
     def read(self) -> Sample:

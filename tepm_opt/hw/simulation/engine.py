@@ -173,7 +173,7 @@ class CompiledNetwork(Network):
             setattr(self.rig, name, value)
 
     def shake(self, sines: np.ndarray, began: float) -> None:
-        """Move the base, as by `Imperfection.shaking`, from a time in the session in s."""
+        """Move the base, as by `Imperfection.base_motion`, from a time in the session in s."""
         self.rig.shaking, self.rig.sines, self.rig.began = self._keep("shaking", sines), len(sines), began
 
     def monitors(self, pressure: np.ndarray, tension: np.ndarray) -> None:

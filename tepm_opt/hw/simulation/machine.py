@@ -64,7 +64,7 @@ class Machine(ABC):
         actuation: from the commands to the axial forces.
         edges: stages of the forces along the vertical edges, in their order.
         around: stages of the forces that the tip meets, in their order.
-        shaking: sines of the base's motion, (sines, 5) as by `Imperfection.shaking`.
+        shaking: sines of the base's motion, (sines, 5) as by `Imperfection.base_motion`.
         network: the moving parts.
         now: steps since the start.
         began: time in the session in s at the start.
@@ -82,7 +82,7 @@ class Machine(ABC):
         self.edges = [stage for item in self.imperfections.values() if (stage := item.edge_stage(self.body)) is not None]
         self.around = [stage for item in self.imperfections.values() if (stage := item.tip_stage(self.robot)) is not None]
         self.actuation = ActuationDynamics(file, self.robot)
-        moves = [rows for item in self.imperfections.values() if (rows := item.shaking(self.body)) is not None]
+        moves = [rows for item in self.imperfections.values() if (rows := item.base_motion(self.body)) is not None]
         self.shaking = np.concatenate([np.zeros((0, 5)), *moves])
         self.ticks = bool(self.edges or self.around or moves) or not self.actuation.direct
         self.follows_shape = bool(self.edges) or self.actuation.uses_lengths

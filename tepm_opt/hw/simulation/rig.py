@@ -70,7 +70,7 @@ class SimulatedRig:
         return f"SimulatedRig({self.file.name!r}, robot {self.robot.name!r}, {self.time:.3f} s)"
 
     def reseed(self, noise: int, began: float = 0.0) -> None:
-        """Other noise of the same machine, before its first `read`: what was drawn once (its masses) stays. 0 is the rig file's own.
+        """Draw other noise for the same machine, before its first `read`; its masses stay. 0 is the rig file's own.
 
         `began` is the time in the session in s at which this rig starts.
         """

@@ -9,7 +9,7 @@ import numpy as np
 
 from tepm_opt.models.backends.interface import JUMP_TIME, Status
 from tepm_opt.models.backends.motion_interface import Record
-from tepm_opt.models.backends.motion_run import Run, bounded
+from tepm_opt.models.backends.motion_run import Run, is_bounded
 from tepm_opt.models.backends.motion_stages import State, Unsolved
 from tepm_opt.models.backends.step_control import FIRST_STEP, LEAST, MEMORY, MOST_OVER, RICHARDSON, SHARE, SHORTEST, STILL
 
@@ -65,7 +65,7 @@ def adapt(run: Run, carried: Carried, first: int, last: int, record: Record) -> 
             carried.step = min(carried.step, FIRST_STEP)
         stop = float(min(knots[knots > t + JUMP_TIME], default=time[last]))
         stop = min(stop, float(time[last]))
-        h, error, ratio, status = _fitting(carried.step, stop - t), 0.0, np.inf, Status.SOLVED
+        h, error, ratio, status = _fit_step(carried.step, stop - t), 0.0, np.inf, Status.SOLVED
         start = replace(carried)
         carried.fine, carried.coarse = (replace(state, d=dict(state.d)) for state in (start.fine, start.coarse))
         middle = carried.fine
@@ -98,7 +98,7 @@ def adapt(run: Run, carried: Carried, first: int, last: int, record: Record) -> 
         carried.step = max(carried.step, growth) if h < carried.step else growth  # a step that a stop has shortened says little
         carried.ratio, carried.error = ratio, max(carried.error, LEAST * scheme.error, error)
         begun, t = t, stop if stop - t < 2 * h * (1 + 1e-9) else t + 2 * h
-        if not bounded(carried.fine):
+        if not is_bounded(carried.fine):
             return Status.DIVERGED
         run.effort.reached = t
         while sample <= last and time[sample] <= t + JUMP_TIME:
@@ -113,7 +113,7 @@ def adapt(run: Run, carried: Carried, first: int, last: int, record: Record) -> 
     return Status.SOLVED
 
 
-def _fitting(wanted: float, left: float) -> float:
+def _fit_step(wanted: float, left: float) -> float:
     """Length of the next two steps: the one wanted, or what ends them with equal ones at the stop."""
     return left / 2 if 2 * wanted > left * (1 - 1e-9) else left / 4 if 4 * wanted > left else wanted
 

@@ -44,7 +44,7 @@ class Run(Stages):
                 self.advance(state, self.drive.time[k] + i * span / count, span / count, 0)
             except Unsolved:
                 return Status.STUCK
-            if not bounded(state):
+            if not is_bounded(state):
                 return Status.DIVERGED
             self.effort.reached = float(self.drive.time[k] + (i + 1) * span / count)
         self.record(record, k + 1, state.x, state.v, state.d.get("x"))
@@ -168,7 +168,7 @@ class Run(Stages):
                 return value + before * getattr(stages[0], rates) if stages else value
 
             x_0, v_0, y = at_start(state.x, "x"), at_start(state.v, "v"), at_start(state.y_edges, "y")
-            x = x_0 + step * (v_0 + step * expected(guide.past[i], acceleration, times[i]))
+            x = x_0 + step * (v_0 + step * extrapolate_acceleration(guide.past[i], acceleration, times[i]))
             x[0] = self.level_0
             x, rate = self.newton(x, x_0, v_0, y, step, last_try)
             self.trusted, v = self.pull, self.velocities(x, x_0, step)
@@ -233,14 +233,14 @@ class Run(Stages):
             record.d_observed[k] = self.of._sparse("observe_by", x.ravel(), self.theta) @ stacked
 
 
-def expected(past: tuple[tuple[float, np.ndarray], ...], latest: np.ndarray, t: float) -> np.ndarray:
-    """Acceleration to expect of a stage: extrapolated from the same stage of the steps before; the latest stage's without them."""
+def extrapolate_acceleration(past: tuple[tuple[float, np.ndarray], ...], latest: np.ndarray, t: float) -> np.ndarray:
+    """Extrapolate a stage's acceleration from the same stage of the steps before; the latest stage's without them."""
     if len(past) < 2:
         return past[0][1] if past else latest
     (t_0, a_0), (t_1, a_1) = past
     return a_0 + (t - t_0) / (t_0 - t_1) * (a_0 - a_1)
 
 
-def bounded(state: State) -> bool:
+def is_bounded(state: State) -> bool:
     """Whether a motion is within all bounds."""
     return bool(np.abs(state.x[1:]).sum() < 1e3 * state.x[1:].size)

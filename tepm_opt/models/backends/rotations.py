@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 
-def rotated(rotation: np.ndarray, vectors: np.ndarray, changes: np.ndarray) -> np.ndarray:
-    """Vectors rotated by rotation vectors (all (…, 3)), after their linear changes less what the rotation accounts for."""
+def rotate(rotation: np.ndarray, vectors: np.ndarray, changes: np.ndarray) -> np.ndarray:
+    """Rotate vectors by rotation vectors (all (…, 3)), after their linear changes less what the rotation accounts for."""
     e = vectors + changes - np.cross(rotation, vectors)
     angle = np.linalg.norm(rotation, axis=-1, keepdims=True)
     once = np.cross(rotation, e)
@@ -22,6 +22,6 @@ def move(x: np.ndarray, step: np.ndarray) -> np.ndarray:
     r, d = nodes - centres[:, None], changes - d_centres[:, None]
     inertia = np.einsum("lik,lik->l", r, r)[:, None, None] * np.eye(3) - np.einsum("lip,liq->lpq", r, r)
     turn = np.linalg.solve(inertia, np.cross(r, d).sum(axis=1)[..., None])[..., 0]
-    links = rotated((turn[1:] + turn[:-1]) / 2, np.diff(centres, axis=0), np.diff(d_centres, axis=0))
+    links = rotate((turn[1:] + turn[:-1]) / 2, np.diff(centres, axis=0), np.diff(d_centres, axis=0))
     moved = np.concatenate([centres[:1], centres[:1] + np.cumsum(links, axis=0)])
-    return (moved[:, None] + rotated(turn[:, None], r, d)).reshape(x.shape)
+    return (moved[:, None] + rotate(turn[:, None], r, d)).reshape(x.shape)

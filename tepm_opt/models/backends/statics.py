@@ -24,8 +24,8 @@ class Assembly:
     base_coupling: np.ndarray
 
 
-def banded(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Lower banded storage (2 · block, n · block) from the segments' block columns (n, 2 · block, block) and (n, block, block)."""
+def assemble_band(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Assemble lower banded storage (2 · block, n · block) from segments' block columns (n, 2 · block, block), (n, block, block)."""
     count, block = len(first), first.shape[2]
     band = np.zeros((2 * block, count * block))
     diagonal = second.copy()
@@ -93,13 +93,13 @@ class PythonStatics:
         first, second = first.reshape(2 * block, n, block).transpose(1, 0, 2), second.reshape(block, n, block).transpose(1, 0, 2)
         total = force.T[:, block:].copy()
         total[:-1] += force.T[1:, :block]
-        return Assembly(float(energy.sum()), total, banded(first, second), first[0, block:])
+        return Assembly(float(energy.sum()), total, assemble_band(first, second), first[0, block:])
 
-    def damping(self, x: np.ndarray, P: np.ndarray, theta: np.ndarray) -> np.ndarray:
-        """Damping matrix of the free levels at x in lower banded storage."""
+    def assemble_damping(self, x: np.ndarray, P: np.ndarray, theta: np.ndarray) -> np.ndarray:
+        """Assemble the damping matrix of the free levels at x in lower banded storage."""
         n, block = self.network.layout.levels, self.network.layout.block
         first, second = self._call("segment_damping", x[:-1], x[1:], P, self._repeat(theta))
-        return banded(first.reshape(2 * block, n, block).transpose(1, 0, 2), second.reshape(block, n, block).transpose(1, 0, 2))
+        return assemble_band(first.reshape(2 * block, n, block).transpose(1, 0, 2), second.reshape(block, n, block).transpose(1, 0, 2))
 
     def _factor_safely(self, at: Assembly, x: np.ndarray, P: np.ndarray, theta: np.ndarray) -> tuple[np.ndarray, bool]:
         try:
@@ -207,4 +207,4 @@ class PythonStatics:
         """See `StaticsBackend.matrices`."""
         _, P, level_0 = self.prepare(*case)
         x = np.concatenate([level_0[None], x[1:]])
-        return self.assemble(x, P, case.theta).band, self.damping(x, P, case.theta)
+        return self.assemble(x, P, case.theta).band, self.assemble_damping(x, P, case.theta)

@@ -57,7 +57,7 @@ class BaseVibration(Effect):
         seen, shifted = sine * ca.sin(phase) + cosine * ca.cos(phase), sine * ca.cos(phase) - cosine * ca.sin(phase)
         return seen if order == 1 else parameters["harmonic_sine"] * seen + parameters["harmonic_cosine"] * shifted
 
-    def suggested(self, clock: np.ndarray, began: np.ndarray, left: np.ndarray) -> Mapping[str, float]:
+    def suggest_values(self, clock: np.ndarray, began: np.ndarray, left: np.ndarray) -> Mapping[str, float]:
         """The line that stands out most from its surroundings in the spectrum of all runs together, with phases of either kind.
 
         Where all points move alike in it, it is the tracker's stand that moves.

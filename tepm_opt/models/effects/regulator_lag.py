@@ -43,11 +43,11 @@ class RegulatorLag(Effect):
         lag = self.lag(parameters)
         filling = state - LOOK_AHEAD * rate < 0
 
-        def slowing(state: ca.SX, left: ca.SX) -> ca.SX:
+        def slow_down(state: ca.SX, left: ca.SX) -> ca.SX:
             inside = ca.fmax(pressure - left * rate + state, 0) + ATMOSPHERE
             outflow = ca.sqrt(inside**2 - (1 - LAMINAR**2) * ATMOSPHERE**2) / (2 * ATMOSPHERE)
             return ca.if_else(filling, parameters["filling_choke"], parameters["exhausting_choke"] / outflow)
 
         times, opening = ca.if_else(filling, lag.filling, lag.exhausting), parameters["opening"]
         choke = ca.if_else(filling, parameters["filling_choke"], parameters["exhausting_choke"])
-        return Saturating(-rate, ca.SX.ones(*state.shape), times - choke * opening, slowing, opening)
+        return Saturating(-rate, ca.SX.ones(*state.shape), times - choke * opening, slow_down, opening)

@@ -39,7 +39,7 @@ class TendonSlip(Effect):
         slipped[at] = (1 - parameters["share"] * over) * tension[at]
         return pressure, slipped
 
-    def suggested(self, clock: np.ndarray, began: np.ndarray, left: np.ndarray) -> Mapping[str, float]:
+    def suggest_values(self, clock: np.ndarray, began: np.ndarray, left: np.ndarray) -> Mapping[str, float]:
         """The instant before and after which coordinates scatter most differently: the likeliest change of their means and variances.
 
         Killick, Fearnhead and Eckley, Optimal detection of changepoints with a linear computational cost, JASA 107 (2012).

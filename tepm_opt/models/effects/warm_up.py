@@ -34,6 +34,6 @@ class WarmUp(Effect):
         warmth = -ca.expm1(-(((parameters[CLOCK] + AT_ONCE) / parameters["time_constant"]) ** parameters["bend"]))
         properties.stiffness[: context.layout.actuators, :] *= 1 + parameters["change"] * warmth
 
-    def suggested(self, clock: np.ndarray, began: np.ndarray, left: np.ndarray) -> Mapping[str, float]:
+    def suggest_values(self, clock: np.ndarray, began: np.ndarray, left: np.ndarray) -> Mapping[str, float]:
         """A third of the session, in which most of the change happens."""
         return {"time_constant": float(np.clip(clock[-1] / 3, 10.0, 1e5))}

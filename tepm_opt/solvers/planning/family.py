@@ -21,7 +21,7 @@ from tepm_opt.models.backends.interface import InverseNewton, LoadCase, Status
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.solvers.modal_model import network_matrices
 from tepm_opt.solvers.statics import Equilibrium, equilibrium
-from tepm_opt.solvers.text import shortened
+from tepm_opt.solvers.text import shorten
 
 PAIRS = tuple(itertools.combinations_with_replacement(range(3), 2))
 BOX_MARGIN = 0.25  # parts of the task's size by which the box goes beyond it: the way between its ends may bulge
@@ -111,7 +111,7 @@ class Family:
     def __repr__(self) -> str:
         """The main numbers, in a line."""
         errors = f"points within {1e3 * self.point_error:.2g} mm, forces within {self.force_error:.2g} N"
-        return f"Family({shortened(self.model.robot.name, 40)}, {errors})"
+        return f"Family({shorten(self.model.robot.name, 40)}, {errors})"
 
     def normalise(self, lengths: np.ndarray) -> np.ndarray:
         """Scale coordinates z (…, 3) in m to y, which is −1 … 1 over their range."""
@@ -139,7 +139,7 @@ class Family:
         slopes[..., 6:] = maps[..., :3]
         return forces, slopes
 
-    def reaching(self, targets: np.ndarray, y: np.ndarray) -> np.ndarray:
+    def reach_targets(self, targets: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Coordinates y (n, 3) near the given ones at which the polynomials' tip is at targets (n, 3) in m, by Newton's method."""
         for _ in range(NEWTON):
             slopes = self.points.slopes(y)[:, -3:]
@@ -209,11 +209,11 @@ def make_family(model: CompiledModel, lengths: np.ndarray, start: Equilibrium, f
     low, high = low - pad, high + pad
     half, middle = (high - low) / 2, _exact(model, (low + high) / 2, start)
 
-    def solved(y: np.ndarray) -> list[Equilibrium]:
+    def solve_rows(y: np.ndarray) -> list[Equilibrium]:
         return [_exact(model, (low + high) / 2 + half * row, middle) for row in y]
 
     y, slow = _nodes(fit.nodes), _nodes(fit.dynamics_nodes)
-    found, slow_found = solved(y), solved(slow)
+    found, slow_found = solve_rows(y), solve_rows(slow)
     forces = Polynomials(y, np.array([axial(at) for at in found]), fit.degree)
     points = Polynomials(y, np.array([at.points.ravel() for at in found]), fit.degree)
     levels = Polynomials(y, np.array([at.x[1:].ravel() for at in found]), fit.degree)
@@ -222,7 +222,7 @@ def make_family(model: CompiledModel, lengths: np.ndarray, start: Equilibrium, f
     moving = Polynomials(slow, maps.reshape(len(maps), -1), fit.dynamics_degree)
     margin = Polynomials(slow, np.array([[at.smallest_eigenvalue] for at in slow_found]), fit.dynamics_degree) if stability else None
     checks = np.random.default_rng(0).uniform(-1.0, 1.0, (fit.validation_samples, 3))
-    at = solved(checks)
+    at = solve_rows(checks)
     errors = [
         float(np.abs(fitted(checks) - exact).max())
         for fitted, exact in ((points, np.array([e.points.ravel() for e in at])), (forces, np.array([axial(e) for e in at])))

@@ -65,7 +65,7 @@ class Program:
         self.places = self.place[0].shape[1] * self.columns
         self.airs = self.air[0].shape[1] * self.forces
         self.unknowns = 1 + self.places + self.airs
-        self._outside = [_sloped(distance(obstacle)) for obstacle in task.obstacles]
+        self._outside = [_differentiate_distance(distance(obstacle)) for obstacle in task.obstacles]
         tip = task.family.points.slopes(np.zeros((1, 3)))[0, -3:-1]  # across, by y in the middle
         self._across = tip
 
@@ -254,7 +254,7 @@ def _smooth(count: int) -> np.ndarray:
     return part**3 * (10 - 15 * part + 6 * part**2)
 
 
-def _sloped(outside: ca.Function) -> ca.Function:
+def _differentiate_distance(outside: ca.Function) -> ca.Function:
     """A distance with its derivatives by the point."""
     point = ca.SX.sym("point", 3)
     away = outside(point)

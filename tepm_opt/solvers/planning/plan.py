@@ -200,7 +200,7 @@ def _plan(
     ends = configurations[0], configurations[-1]
     for name, checked in (("start", ends[:1]), ("end", ends[1:])) if parts is None else (("path", configurations),):
         for found in checked:
-            if why := _blocked(found.equilibrium, obstacles, settings):
+            if why := _find_fault(found.equilibrium, obstacles, settings):
                 return none(Ending.BLOCKED, f"{name}: {why}")
     progress("configurations about the task", 0, 0)
     lengths = coordinates(model, np.array([found.equilibrium.lengths[0] for found in configurations]))
@@ -211,7 +211,7 @@ def _plan(
         return none(Ending.NO_PLAN, f"the configurations about the task are not all stable: {error}")
     y, area, half = family.normalise(lengths), model.values["A"], layout.inputs // 2
     if layout.actuators > 3:  # inverse kinematics takes the least forces, which are a little beside the family
-        y = family.reaching(targets, y)
+        y = family.reach_targets(targets, y)
         try:
             ends = _in_family(family, ends[0], y[0], mid), _in_family(family, ends[1], y[-1], mid)
         except FamilyError as error:
@@ -229,7 +229,7 @@ def _plan(
     progress("nonlinear program", 0, 0)
     iterations, seconds, plan = 0, 0.0, none(Ending.NO_PLAN, "")
     for weight in settings.effort_weight * SMOOTHER if duration is None else (settings.effort_weight,):
-        motion, tries = _solved(replace(task, effort_weight=float(weight)))
+        motion, tries = _solve_from_guesses(replace(task, effort_weight=float(weight)))
         iterations, seconds = iterations + sum(one.iterations for one in tries), seconds + sum(one.seconds for one in tries)
         if not motion.solved:
             if plan.solved:
@@ -237,7 +237,7 @@ def _plan(
             return none(Ending.NO_PLAN, _why(task, motion))
         progress("set points and simulation", 0, 0)
         try:
-            plan = _played(task, motion, ends, devices, settings, objective, friction)
+            plan = _build_plan(task, motion, ends, devices, settings, objective, friction)
         except FamilyError as error:
             return none(Ending.NO_PLAN, f"on the way: {error}")
         if plan.solved and plan.residual_sway <= settings.max_residual_sway:
@@ -258,7 +258,7 @@ def _in_family(family: Family, found: Configuration, y: np.ndarray, mid: float) 
     return replace(found, equilibrium=at, forces=axial(at), allocation=allocate(family.model, axial(at), ActuationMode.HYBRID, mid))
 
 
-def _solved(task: PlanTask) -> tuple[PlannedMotion, list[PlannedMotion]]:
+def _solve_from_guesses(task: PlanTask) -> tuple[PlannedMotion, list[PlannedMotion]]:
     """The first motion found, from several guesses where there are obstacles to pass, and all tries."""
     tries = [solve(task)]
     for bulge in _bulges(*task.ends) if task.obstacles and task.route is None else ():
@@ -278,7 +278,7 @@ def _why(task: PlanTask, motion: PlannedMotion) -> str:
     return f"no motion of {task.duration:g} s keeps the limits, margin and obstacles ({ended}){hint}"
 
 
-def _blocked(at: Equilibrium, obstacles: tuple[Obstacle, ...], settings: PlanSettings) -> str:
+def _find_fault(at: Equilibrium, obstacles: tuple[Obstacle, ...], settings: PlanSettings) -> str:
     """Fault of a configuration on the way: too little stability, a point in an obstacle; empty where there is none."""
     if settings.min_stiffness is not None and (found := at.smallest_eigenvalue) < settings.min_stiffness:
         return f"its smallest stiffness eigenvalue is {found:.4f} N/m; valid: at least the margin of {settings.min_stiffness:g} N/m"
@@ -328,7 +328,7 @@ def _bulges(start: np.ndarray, end: np.ndarray) -> list[np.ndarray]:
     return [sign * 0.5 * side for side in across for sign in (1.0, -1.0)]
 
 
-def _played(
+def _build_plan(
     task: PlanTask, motion: PlannedMotion, ends: tuple[Configuration, Configuration], devices: Devices, settings: PlanSettings,
     objective: Objective, friction: Friction,
 ) -> MotionPlan:  # fmt: skip

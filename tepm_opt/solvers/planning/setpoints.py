@@ -83,11 +83,11 @@ def commands(
             ideal = np.clip(ahead[row] + carried, 0.0, highest)
             given[row] = model.robot.actuation.pressures_on_grid(ideal)
             carried = ideal - given[row]
-        muscle[row] = _lagged(muscle[row - 1], given[row - 1], given[row], time[row] - time[row - 1], devices)
+        muscle[row] = _apply_lag(muscle[row - 1], given[row - 1], given[row], time[row] - time[row - 1], devices)
     return given, muscle
 
 
-def _lagged(pressure: np.ndarray, before: np.ndarray, after: np.ndarray, duration: float, devices: Devices) -> np.ndarray:
+def _apply_lag(pressure: np.ndarray, before: np.ndarray, after: np.ndarray, duration: float, devices: Devices) -> np.ndarray:
     """Pressure in the muscles after commands that go linearly from `before` to `after`."""
     steps = max(1, round(duration / SUBSTEP))
     for part in (np.arange(steps) + 0.5) / steps:

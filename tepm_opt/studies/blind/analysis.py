@@ -13,7 +13,7 @@ import numpy as np
 from tepm_opt.studies.blind.judged import EVEN, NAMED, NOTHING, Judged
 from tepm_opt.studies.blind.rates import Mean, Rate, average_probability, count_rate, rate_engine, rate_stated_set, round_number, wilson
 
-__all__ = ["Analysis", "Rate", "Reliability", "analysed", "confusion", "detection", "rates", "reliability", "wilson"]
+__all__ = ["Analysis", "Rate", "Reliability", "analyse_results", "confusion", "detection", "rates", "reliability", "wilson"]
 
 CLEAR = 2.0  # times the noise, from which a cause should be named
 AS_NOISE = (0.8, 1.25)  # times the noise: what leaves as much as it
@@ -97,8 +97,8 @@ class Analysis:
         }
 
 
-def analysed(results: Iterable[Mapping[str, Any]]) -> Analysis:
-    """The analysis of lines of `trials.jsonl`."""
+def analyse_results(results: Iterable[Mapping[str, Any]]) -> Analysis:
+    """Analyse lines of `trials.jsonl`."""
     results = list(results)
     judged = [Judged(each) for each in results if each["label"]]
     failed = Counter(str(each["error"]) for each in results if not each["label"])
@@ -177,16 +177,16 @@ def reliability(judged: Sequence[Judged], bins: int = BINS) -> Reliability | Non
         times = np.bincount(random.integers(len(trials), size=len(trials)), minlength=len(trials))
         rows = np.repeat(np.arange(len(told)), times[number])  # still in the order of what is stated
         if len(rows) >= bins:
-            found = _binned(stated[rows], acts[rows], bins)
+            found = _average_bins(stated[rows], acts[rows], bins)
             again.append(found[1])
             errors.append(_distance(*found))
     low, high = np.percentile(again, [2.5, 97.5], axis=0)
     least, most = np.percentile(errors, [2.5, 97.5])
-    means = _binned(stated, acts, bins)
+    means = _average_bins(stated, acts, bins)
     return Reliability(*means[:2], low, high, means[2], _distance(*means), (float(least), float(most)))
 
 
-def _binned(stated: np.ndarray, acts: np.ndarray, bins: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _average_bins(stated: np.ndarray, acts: np.ndarray, bins: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Means and counts of bins of equal count, of what is in the order of `stated`."""
     counts = np.array([len(part) for part in np.array_split(stated, bins)])
     starts = np.append(0, np.cumsum(counts)[:-1])

@@ -64,7 +64,7 @@ def direction(random: np.random.Generator, axes: int = 3) -> np.ndarray:
     return drawn / np.linalg.norm(drawn)
 
 
-def commanded(change: Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]) -> Commands:
+def make_setpoint_change(change: Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]) -> Commands:
     """Wrap a function of time (rows,), pressures and tensions (rows, 6) as a change of set points, within the actuators' limits."""
 
     def change_setpoints(asked: SetPoints) -> SetPoints:
@@ -196,7 +196,7 @@ def _tension_gain(random: np.random.Generator) -> Form:
     )
 
 
-def _choked(random: np.random.Generator) -> Form:
+def _choked_filling(random: np.random.Generator) -> Form:
     """A valve through which no more than so much flows: the lag of large steps."""
     band, critical = random.uniform(1e4, 4e4), random.uniform(0.2, 0.5)
     at = _vary_setting("rate_per_s", band_Pa=band, critical_ratio=critical)
@@ -208,20 +208,20 @@ def _scatter(random: np.random.Generator) -> Callable[[float], dict[str, Any]]:
     return lambda size: {"area_spread": size, "length_spread_m": length * size, "draw": draw}
 
 
-def _sticking(random: np.random.Generator) -> Form:
+def _tendon_friction(random: np.random.Generator) -> Form:
     """Tendon friction without motion of the muscle: the tension at the end plays within a constant and a share around the motor's."""
     name, share = "tendon_friction", random.uniform(0.3, 1.5)  # of the tension, a newton of the constant
 
     def deviate_by(size: float) -> Deviation:
         constant, part = size, min(share * size, 0.8)
 
-        def played(time: np.ndarray, pressures: np.ndarray, tensions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        def play_tensions(time: np.ndarray, pressures: np.ndarray, tensions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             ends = tensions.copy()
             for last, now in pairwise(ends):
                 now[:] = np.clip(last, np.maximum((1 - part) * now - constant, 0.0), (1 + part) * now + np.minimum(now, constant))
             return pressures, ends
 
-        return Deviation(before=commanded(played))
+        return Deviation(before=make_setpoint_change(play_tensions))
 
     return Form((name,), deviate_by, 0.1, 1e-3, 1.5, sizes=lambda size: {f"{name}.constant": size, f"{name}.share": min(share * size, 0.8)})
 
@@ -272,13 +272,13 @@ def _offset(random: np.random.Generator) -> Form:
     return Form((name,), lambda size: Deviation({name: {"offset_m": {which: tuple(size * toward)}}}), 3e-3, 1e-4, 0.03, {name: which})
 
 
-def _warming(random: np.random.Generator) -> Form:
+def _warm_up(random: np.random.Generator) -> Form:
     """Muscles that become softer, or stiffer, in proportion to time until they are warm."""
     full, sign = float(random.uniform(20.0, 90.0)), float(random.choice([-1, -1, 1]))
     return Form(("warm_up",), lambda size: Deviation({"warm_up": {"change": sign * size, "full_s": full}}), 0.05, 1e-3, 0.4)
 
 
-def _drifting(random: np.random.Generator) -> Form:
+def _tracker_drift(random: np.random.Generator) -> Form:
     """A pose that goes along a slow sine, of which a session sees a part."""
     about, along, period = direction(random), direction(random) * random.uniform(0.0, 5e-3), float(random.uniform(400.0, 2000.0))
 
@@ -289,7 +289,7 @@ def _drifting(random: np.random.Generator) -> Form:
     return Form(("tracker_drift",), deviate_by, 1.0, 1e-2, 20.0)
 
 
-def _slipping(random: np.random.Generator) -> Form:
+def _tendon_slip(random: np.random.Generator) -> Form:
     """One tendon that slides in its clamp."""
     name, which, instant = "tendon_slip", str(random.choice(MUSCLES)), float(random.uniform(3.0, 40.0))
 
@@ -305,7 +305,7 @@ def _slipping(random: np.random.Generator) -> Form:
     return Form((name,), deviate_by, 0.2, 1e-2, 1.0, {name: which}, lambda size: {f"{name}[{which}].share": size}, alike=alike)
 
 
-def _shaking(random: np.random.Generator) -> Form:
+def _base_vibration(random: np.random.Generator) -> Form:
     """A base, or the tracker's stand, that moves with a harmonic."""
     along, felt = direction(random), bool(random.uniform() < 0.5)
     same = {"frequency_Hz": float(random.uniform(2.0, 12.0)), "phase_deg": float(random.uniform(0.0, 360.0)), "felt": felt}
@@ -314,7 +314,7 @@ def _shaking(random: np.random.Generator) -> Form:
     )
 
 
-def _skewed(random: np.random.Generator) -> Form:
+def _clock_skew(random: np.random.Generator) -> Form:
     """A tracker's clock that gains more and more, or loses."""
     sign, bend = float(random.choice([-1, 1])), float(random.uniform(0.0, 0.01))  # of the rate, in a second
     return Form(
@@ -343,19 +343,19 @@ LIBRARY: dict[str, Cause] = {
     "actuator_scatter": _rig("actuator_scatter", 0.02, 1e-3, 0.3, _scatter),
     "regulator_leak": _leak,
     "tension_gain": _tension_gain,
-    "choked_filling": _choked,
+    "choked_filling": _choked_filling,
     "pressure_crosstalk": _rig("pressure_crosstalk", 0.05, 1e-3, 0.4, lambda random: _vary_setting("share")),
-    "tendon_friction": _sticking,
+    "tendon_friction": _tendon_friction,
     "tendon_slack": _rig("tendon_slack", 0.03, 1e-3, 0.2, _slack),
     "external_load": _load,
     "base_tilt": _tilt,
     "sensor_misalignment": _misalignment,
     "sensor_offset": _offset,
-    "warm_up": _warming,
-    "tracker_drift": _drifting,
-    "tendon_slip": _slipping,
-    "base_vibration": _shaking,
-    "clock_skew": _skewed,
+    "warm_up": _warm_up,
+    "tracker_drift": _tracker_drift,
+    "tendon_slip": _tendon_slip,
+    "base_vibration": _base_vibration,
+    "clock_skew": _clock_skew,
 }
 """By name of the effect; another form of it has a key of its own."""
 

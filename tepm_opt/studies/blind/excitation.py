@@ -45,11 +45,11 @@ def excitations(seed: int, short: bool) -> tuple[Excitation, ...]:
         "single_tension": _one_by_one(_level(140e3), (3.0 if short else 4.5) * random.uniform(0.9, 1.1, COUNT), slower, tension=True),
     }
     fit |= {"elongation": [*spread, *steps]} if short else {"elongation": spread, "steps": [(0.0, _level(90e3)), *steps]}
-    fit["tip_load"] = _pushed(random, slower)
-    validation = {"circle": _circle(2, 3.2) if short else _circle(3, 7.0), "mixed": _mixed(random, 6.5 if short else 20.0)}
+    fit["tip_load"] = _tip_load(random, slower)
+    validation = {"circle": _circle(2, 3.2) if short else _circle(3, 7.0), "mixed": _mixed_sines(random, 6.5 if short else 20.0)}
     roles: dict[Role, dict[str, Knots]] = {"fit": fit, "validation": validation}
     return _one_after_the_other(
-        Excitation(f"{name}.csv", role, _sampled(knots)) for role, runs in roles.items() for name, knots in runs.items()
+        Excitation(f"{name}.csv", role, _sample_knots(knots)) for role, runs in roles.items() for name, knots in runs.items()
     )
 
 
@@ -83,12 +83,12 @@ def draw_runs(
     runs = []
     for number, name in enumerate(map(str, (*names, *judging)), start=1):
         knots = DESIGNS[name](random, random.uniform(shortest, longest) - LEAD)
-        runs.append(Excitation(f"{number}_{name}.csv", "fit" if number <= len(names) else "validation", _sampled(knots)))
+        runs.append(Excitation(f"{number}_{name}.csv", "fit" if number <= len(names) else "validation", _sample_knots(knots)))
     return _one_after_the_other(runs)
 
 
-def thinned(run: Excitation, every: int) -> Excitation:
-    """The same run at a part of the sample rate."""
+def thin_run(run: Excitation, every: int) -> Excitation:
+    """Thin a run to a part of its sample rate."""
     asked = run.setpoints
     return replace(run, setpoints=SetPoints(asked.time[::every], asked.inputs[::every], asked.tip_force[::every]))
 
@@ -99,7 +99,7 @@ def _level(
     return np.concatenate([np.broadcast_to(pressure, COUNT), np.broadcast_to(tension, COUNT), force]).astype(float)
 
 
-def _sampled(knots: Knots) -> SetPoints:
+def _sample_knots(knots: Knots) -> SetPoints:
     """Linear between the knots, which stand on the grid of the samples; the first level holds for `LEAD`."""
     seconds, levels = zip((LEAD, knots[0][1]), *knots[1:], strict=True)
     at = np.append(0, np.cumsum(np.maximum(np.round(np.multiply(seconds, RATE)), 1)))
@@ -145,7 +145,7 @@ def _steps(random: np.random.Generator, count: int, hold: float) -> Knots:
     return knots
 
 
-def _pushed(random: np.random.Generator, slower: float) -> Knots:
+def _tip_load(random: np.random.Generator, slower: float) -> Knots:
     """A known tip force that comes, turns and goes, and pressure steps while it acts."""
     still, size = 80e3, random.uniform(0.25, 0.35)
     bent = still + 20e3 * np.cos(ANGLES)
@@ -174,7 +174,7 @@ def _circle(turns: int, period: float) -> Knots:
     return _rows(pressures, tensions)
 
 
-def _mixed(random: np.random.Generator, duration: float) -> Knots:
+def _mixed_sines(random: np.random.Generator, duration: float) -> Knots:
     """Sines of several frequencies in all inputs at once: together in the pressures, small ones apart, tensions that reach zero."""
     time = np.arange(0.0, duration + 1e-9, 1 / RATE)
 
@@ -187,7 +187,7 @@ def _mixed(random: np.random.Generator, duration: float) -> Knots:
 
 
 Design = Callable[[np.random.Generator, float], Knots]
-"""What is drawn from, and the length in s; knots of a run."""
+"""Function of a random generator and a length in s that gives the knots of a run."""
 
 
 def _singles(tension: bool) -> Design:
@@ -214,9 +214,9 @@ DESIGNS: dict[str, Design] = {
     "elongation": lambda random, duration: _spread(duration / 3.2),
     "steps": _random_steps,
     "ramps": _ramps,
-    "tip_load": lambda random, duration: _pushed(random, duration / 5.5),
+    "tip_load": lambda random, duration: _tip_load(random, duration / 5.5),
     "circle": _turns,
-    "mixed": _mixed,
+    "mixed": _mixed_sines,
 }
 JUDGES = ("circle", "mixed", "steps", "ramps")
 """Designs of the runs to judge by."""

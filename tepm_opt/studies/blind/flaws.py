@@ -1,4 +1,4 @@
-"""What is wrong with an experiment, not with the machine: poor data, and things about which robot file or data set are mistaken."""
+"""Flaws of an experiment, not of the machine: poor data, and mistakes in the robot file or the data set."""
 
 from __future__ import annotations
 
@@ -92,8 +92,8 @@ POOR: Mapping[str, Flaw] = {
 """By key."""
 
 
-def spoiled(run: Run, flaw: Flaw, random: np.random.Generator, noise: float) -> Run:
-    """A run as it is recorded in poor data.
+def spoil_run(run: Run, flaw: Flaw, random: np.random.Generator, noise: float) -> Run:
+    """Spoil a run as poor data record it.
 
     Args:
         run: as measured.

@@ -30,7 +30,7 @@ from itertools import pairwise
 import numpy as np
 
 from tepm_opt.data.setpoints import SetPoints
-from tepm_opt.studies.blind.causes import POINTS, Cause, Form, commanded, direction
+from tepm_opt.studies.blind.causes import POINTS, Cause, Form, direction, make_setpoint_change
 from tepm_opt.studies.blind.machine import Deviation, Sight
 
 Pair = tuple[np.ndarray, np.ndarray]
@@ -68,7 +68,7 @@ def _make_command_cause(
 
     def cause(random: np.random.Generator) -> Form:
         change = drawn(random)
-        return Form((), lambda size: Deviation(before=commanded(lambda *asked: change(size, *asked))), usual, low, high)
+        return Form((), lambda size: Deviation(before=make_setpoint_change(lambda *asked: change(size, *asked))), usual, low, high)
 
     return cause
 
@@ -104,7 +104,7 @@ def _curved_field(random: np.random.Generator) -> Callable[[float], Sight]:
     return make_sight
 
 
-def _filtered(random: np.random.Generator) -> Callable[[float], Sight]:
+def _filtered_point(random: np.random.Generator) -> Callable[[float], Sight]:
     which = int(random.integers(len(POINTS)))
 
     def make_sight(size: float) -> Sight:
@@ -135,7 +135,7 @@ def _loose(random: np.random.Generator) -> Callable[[float], Sight]:
     return make_sight
 
 
-def _slewed(random: np.random.Generator) -> Change:
+def _slew_limit(random: np.random.Generator) -> Change:
     def change(size: float, time: np.ndarray, pressures: np.ndarray, tensions: np.ndarray) -> Pair:
         found, most = pressures.copy(), np.diff(time) / size
         for seconds, (last, now) in zip(most, pairwise(found), strict=True):
@@ -145,11 +145,11 @@ def _slewed(random: np.random.Generator) -> Change:
     return change
 
 
-def _pinched(random: np.random.Generator) -> Change:
+def _pinched_tendons(random: np.random.Generator) -> Change:
     return lambda size, time, pressures, tensions: (pressures, tensions * np.exp(-size * pressures / 1e5))
 
 
-def _sagging(random: np.random.Generator) -> Change:
+def _sagging_supply(random: np.random.Generator) -> Change:
     power = random.uniform(1.2, 2.5)
 
     def change(size: float, time: np.ndarray, pressures: np.ndarray, tensions: np.ndarray) -> Pair:
@@ -159,7 +159,7 @@ def _sagging(random: np.random.Generator) -> Change:
     return change
 
 
-def _rippled(random: np.random.Generator) -> Change:
+def _rippled_regulator(random: np.random.Generator) -> Change:
     period, phase = random.uniform(30e3, 80e3), random.uniform(0, 2 * np.pi, 6)
     return lambda size, time, pressures, tensions: (
         pressures + size * (np.sin(2 * np.pi * pressures / period + phase) - np.sin(phase)),
@@ -167,7 +167,7 @@ def _rippled(random: np.random.Generator) -> Change:
     )
 
 
-def _crossed(random: np.random.Generator) -> Change:
+def _crossed_modules(random: np.random.Generator) -> Change:
     mixing = np.eye(6), np.eye(6, k=3)
     return lambda size, time, pressures, tensions: (pressures @ (mixing[0] + size * mixing[1]), tensions)
 
@@ -196,7 +196,7 @@ def _weak_level(random: np.random.Generator) -> Callable[[float], dict]:
     return lambda size: {"loss": size, "first": level, "last": level}
 
 
-def _twisted(random: np.random.Generator) -> Callable[[float], dict]:
+def _twisted_body(random: np.random.Generator) -> Callable[[float], dict]:
     hand = float(random.choice([-1, 1]))
     return lambda size: {"strain": hand * size}
 
@@ -216,16 +216,16 @@ def _hose(random: np.random.Generator) -> Callable[[float], dict]:
 FOREIGN: dict[str, Cause] = {
     "curved_field": _make_sight_cause(0.1, 1e-3, 3.0, _curved_field),
     "metal_nearby": _make_rig_cause("field_distortion", 0.01, 1e-4, 0.1, _metal),
-    "sagging_supply": _make_command_cause(0.1, 1e-3, 1.0, _sagging),
-    "slew_limit": _make_command_cause(2e-6, 5e-8, 5e-5, _slewed),
-    "filtered_point": _make_sight_cause(0.03, 1e-3, 1.0, _filtered),
+    "sagging_supply": _make_command_cause(0.1, 1e-3, 1.0, _sagging_supply),
+    "slew_limit": _make_command_cause(2e-6, 5e-8, 5e-5, _slew_limit),
+    "filtered_point": _make_sight_cause(0.03, 1e-3, 1.0, _filtered_point),
     "loose_marker": _make_sight_cause(3e-3, 1e-4, 0.05, _loose),
     "soft_module": _make_rig_cause("soft_part", 0.1, 1e-3, 0.6, _softer),
     "soft_level": _make_rig_cause("soft_part", 0.2, 1e-3, 0.8, _weak_level),
-    "twisted_body": _make_rig_cause("twisted_body", 0.01, 1e-4, 0.1, _twisted),
-    "rippled_regulator": _make_command_cause(2e3, 50.0, 20e3, _rippled),
-    "pinched_tendons": _make_command_cause(0.2, 1e-3, 3.0, _pinched),
-    "crossed_modules": _make_command_cause(0.03, 1e-3, 0.5, _crossed),
+    "twisted_body": _make_rig_cause("twisted_body", 0.01, 1e-4, 0.1, _twisted_body),
+    "rippled_regulator": _make_command_cause(2e3, 50.0, 20e3, _rippled_regulator),
+    "pinched_tendons": _make_command_cause(0.2, 1e-3, 3.0, _pinched_tendons),
+    "crossed_modules": _make_command_cause(0.03, 1e-3, 0.5, _crossed_modules),
     "tip_wall": _make_rig_cause("tip_wall", 2.0, 1e-2, 500.0, _wall),
     "tied_hose": _make_rig_cause("tethered_tip", 0.1, 1e-3, 20.0, _hose),
     "tip_drag": _make_rig_cause("tip_drag", 0.1, 1e-3, 20.0, lambda random: lambda size: {"size_N_s2_per_m2": size}),

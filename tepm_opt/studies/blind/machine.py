@@ -21,9 +21,9 @@ from tepm_opt.studies.blind.excitation import RATE, Excitation
 STEP = 1 / 2800  # s, or less where the robot does not bear it
 
 Commands = Callable[[SetPoints], SetPoints]
-"""What becomes of commands and known forces before they act."""
+"""Change of commands and known forces before they act."""
 Sight = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""What becomes of points (rows, points, 3) in m, at times (rows,) in s, before they are recorded."""
+"""Change of points (rows, points, 3) in m, at times (rows,) in s, before they are recorded."""
 Build = Callable[[Any, Body], None]
 """Changes of a document of MuJoCo (`mujoco.MjSpec`) of a network in numbers."""
 
@@ -93,8 +93,8 @@ def rig_file(robot: Robot, deviation: Deviation, noise: float, seed: int = 0, ra
     )
 
 
-def played(file: RigFile, deviation: Deviation, run: Excitation, noise: int) -> Run:
-    """A run as it is recorded: inputs as commanded, points as measured, with noise behind all that acts on them.
+def simulate_run(file: RigFile, deviation: Deviation, run: Excitation, noise: int) -> Run:
+    """Simulate a run as it is recorded: inputs as commanded, points as measured, with noise behind all that acts on them.
 
     Args:
         file: see `rig_file`.

@@ -24,7 +24,7 @@ from tepm_opt.jobs.output import save_summary
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent, track
 from tepm_opt.solvers.parallel import cores, on_cores
-from tepm_opt.studies.blind.analysis import Analysis, analysed
+from tepm_opt.studies.blind.analysis import Analysis, analyse_results
 from tepm_opt.studies.blind.table import markdown
 from tepm_opt.studies.blind.trial import Trial, TrialSeries, make
 
@@ -65,7 +65,7 @@ class BlindRun:
     @cached_property
     def analysis(self) -> Analysis:
         """Summary of all trials."""
-        return analysed(self.results)
+        return analyse_results(self.results)
 
     def summary(self) -> dict[str, Any]:
         """All numbers, with what makes the trials again."""
@@ -86,8 +86,8 @@ class BlindRun:
         return f"<BlindRun {self.outcome}; {len(self.results)} trials, seed {self.series.seed}>"
 
 
-def examined(trial: Trial) -> dict[str, Any]:
-    """The result of a trial, plain data: its label, the verdict or why there is none, and how long that took.
+def examine_trial(trial: Trial) -> dict[str, Any]:
+    """Examine a trial; its result is plain data: label, verdict or why there is none, and the time taken.
 
     What goes wrong is a result, too.
     """
@@ -110,7 +110,7 @@ def examined(trial: Trial) -> dict[str, Any]:
 
 def run_blind(
     out: str | Path, series: TrialSeries, executor: Executor | None = None, jobs: int | None = None, progress: Progress = silent,
-    examine: Examine = examined,
+    examine: Examine = examine_trial,
 ) -> BlindRun:  # fmt: skip
     """Make trials, explain each, and append what is said about it to `trials.jsonl`; trials that stand there already are not repeated.
 
@@ -200,7 +200,7 @@ def _key(result: dict[str, Any]) -> tuple[str, int, int]:
     return result["family"], result["seed"], result["number"]
 
 
-def _died(trial: Trial) -> dict[str, Any]:
+def _describe_death(trial: Trial) -> dict[str, Any]:
     return {**_describe_trial(trial), "label": None, "verdict": None, "error": DIED, "seconds": {}}
 
 
@@ -229,7 +229,7 @@ def _spread(executor: Executor, trials: Sequence[Trial], at_once: int, keep: Kee
                 except BrokenExecutor:
                     raise
                 except Exception as error:  # such as a cluster's that lost its workers to this trial again and again
-                    result = {**_died(under_way[future]), "error": f"{type(error).__name__}: {error}"}
+                    result = {**_describe_death(under_way[future]), "error": f"{type(error).__name__}: {error}"}
                 del under_way[future]
                 keep(result)
     except BrokenExecutor:
@@ -258,5 +258,5 @@ def _in_processes(trials: Sequence[Trial], jobs: int, keep: Keep, examine: Exami
         for suspect in left[:jobs]:
             with processes(1) as executor:
                 if _spread(executor, [suspect], 1, keep, examine):
-                    keep(_died(suspect))
+                    keep(_describe_death(suspect))
         left = left[jobs:]

@@ -15,10 +15,10 @@ from tepm_opt.hw.simulation.machine import Diverged
 from tepm_opt.models.robot import Robot
 from tepm_opt.studies.blind.causes import Form
 from tepm_opt.studies.blind.excitation import RATE, Excitation
-from tepm_opt.studies.blind.machine import Deviation, played, rig_file
+from tepm_opt.studies.blind.machine import Deviation, rig_file, simulate_run
 
 UNBEARABLE = (NoEquilibriumError, Diverged, InputError)
-"""What a machine raises that does not bear its runs."""
+"""Exceptions of a machine that does not bear its runs."""
 PART = 0.25  # of a prior's width, of the differences by parameters
 NEAR = 0.25  # of the misfit asked for: near enough
 PILOTS = 6  # most for one cause
@@ -63,8 +63,8 @@ class Pilot:
         Raises:
             NoEquilibriumError, Diverged: the machine does not bear the runs.
         """
-        points = simulated(robot, machine, runs, rate)
-        simulated(robot, machine, runs, rate, "validation")  # it has to bear them
+        points = simulate_points(robot, machine, runs, rate)
+        simulate_points(robot, machine, runs, rate, "validation")  # it has to bear them
         return Pilot(robot, machine, runs, noise, rate, points, _slopes(robot, machine, runs, rate, points))
 
     def misfit(self, form: Form, size: float) -> float:
@@ -76,7 +76,7 @@ class Pilot:
         Raises:
             NoEquilibriumError, Diverged: the machine does not bear the runs with it.
         """
-        measured = simulated(self.robot, self.machine + form.at(size), self.runs, self.rate)
+        measured = simulate_points(self.robot, self.machine + form.at(size), self.runs, self.rate)
         now = np.array([(self.machine.factors.get(name, 1.0) - 1) / width for name, width in self.robot.priors.items()])
         at, points, by, least, renewed = now, self.points, self.by, np.inf, False
         for _ in range(RECALIBRATIONS):
@@ -86,21 +86,21 @@ class Pilot:
             if _rms(left - by @ step) >= (1 - WORTH) * least:
                 if renewed or by is self.by:
                     break
-                by, renewed = _slopes(self.robot, self.machine + self._recalibrated(now, at), self.runs, self.rate, points), True
+                by, renewed = _slopes(self.robot, self.machine + self._change_parameters(now, at), self.runs, self.rate, points), True
                 continue
             at = at + step
-            moved = simulated(self.robot, self.machine + self._recalibrated(now, at), self.runs, self.rate)
+            moved = simulate_points(self.robot, self.machine + self._change_parameters(now, at), self.runs, self.rate)
             by = by + np.outer(moved - points - by @ step, step) / (step @ step)
             points = moved
         return least / self.noise
 
-    def _recalibrated(self, now: np.ndarray, to: np.ndarray) -> Deviation:
+    def _change_parameters(self, now: np.ndarray, to: np.ndarray) -> Deviation:
         """Parameters at `to` instead of `now`, in widths of their priors."""
         widths = self.robot.priors.items()
         return Deviation(factors={name: (1 + width * b) / (1 + width * a) for (name, width), a, b in zip(widths, now, to, strict=True)})
 
-    def sized(self, form: Form, wanted: float) -> tuple[float, float]:
-        """The size of a cause at which the misfit is about as wanted, or as near as its limits and the machine let it; its misfit.
+    def find_size(self, form: Form, wanted: float) -> tuple[float, float]:
+        """Find the size of a cause at which the misfit is about as wanted, as near as its limits and the machine let it; with its misfit.
 
         A misfit of 0 says that no size was borne.
         """
@@ -126,8 +126,8 @@ class Pilot:
         return best
 
 
-def simulated(robot: Robot, machine: Deviation, runs: Sequence[Excitation], rate: float, role: Role = "fit") -> np.ndarray:
-    """Points without noise of the runs of a role, one after the other, (coordinates,) in m.
+def simulate_points(robot: Robot, machine: Deviation, runs: Sequence[Excitation], rate: float, role: Role = "fit") -> np.ndarray:
+    """Simulate points without noise of the runs of a role, one after the other, (coordinates,) in m.
 
     Args:
         robot: as its file says.
@@ -140,7 +140,7 @@ def simulated(robot: Robot, machine: Deviation, runs: Sequence[Excitation], rate
         NoEquilibriumError, Diverged: the machine does not bear the runs.
     """
     file = rig_file(robot, machine, 0.0, rate=rate)
-    return np.concatenate([np.empty(0), *(played(file, machine, run, 0).points.ravel() for run in runs if run.role == role)])
+    return np.concatenate([np.empty(0), *(simulate_run(file, machine, run, 0).points.ravel() for run in runs if run.role == role)])
 
 
 def _slopes(robot: Robot, machine: Deviation, runs: Sequence[Excitation], rate: float, points: np.ndarray) -> np.ndarray:
@@ -154,7 +154,7 @@ def _slopes(robot: Robot, machine: Deviation, runs: Sequence[Excitation], rate: 
         points: of the runs to fit to, (coordinates,) in m.
     """
     changes = [Deviation(factors={name: 1 + PART * width}) for name, width in robot.priors.items()]
-    by = [(simulated(robot, machine + change, runs, rate) - points) / PART for change in changes]
+    by = [(simulate_points(robot, machine + change, runs, rate) - points) / PART for change in changes]
     return np.array(by).reshape(len(by), -1).T
 
 

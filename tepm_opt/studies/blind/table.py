@@ -1,4 +1,4 @@
-"""What blind trials say, as a table for people."""
+"""Results of blind trials as a table for people."""
 
 from __future__ import annotations
 

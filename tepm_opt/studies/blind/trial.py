@@ -20,11 +20,11 @@ from tepm_opt.models.effects import effects
 from tepm_opt.models.robot import Robot, load_robot
 from tepm_opt.studies.blind import engine
 from tepm_opt.studies.blind.causes import LIBRARY, Cause
-from tepm_opt.studies.blind.excitation import RATE, draw_runs, thinned
-from tepm_opt.studies.blind.flaws import CLOCKS, POOR, Flaw, add_feedback, mistaken, spoiled
+from tepm_opt.studies.blind.excitation import RATE, draw_runs, thin_run
+from tepm_opt.studies.blind.flaws import CLOCKS, POOR, Flaw, add_feedback, mistaken, spoil_run
 from tepm_opt.studies.blind.foreign import FOREIGN
 from tepm_opt.studies.blind.hidden import Experiment, Hidden, describe
-from tepm_opt.studies.blind.machine import Deviation, combine_deviations, played, rig_file
+from tepm_opt.studies.blind.machine import Deviation, combine_deviations, rig_file, simulate_run
 from tepm_opt.studies.blind.sizes import UNBEARABLE, Pilot
 
 Family = Literal["closed", "open", "wrong", "poor", "null", "engine"]
@@ -62,8 +62,8 @@ class Trial:
     family: Family
 
     @staticmethod
-    def numbered(seed: int, number: int, family: str | None = None) -> Trial:
-        """A trial of a family, or of the one whose turn it is.
+    def from_number(seed: int, number: int, family: str | None = None) -> Trial:
+        """Make a trial of a family, or of the one whose turn it is.
 
         Raises:
             InputError: no such family.
@@ -99,7 +99,7 @@ class TrialSeries:
         Raises:
             InputError: no such family.
         """
-        return [Trial.numbered(self.seed, number, self.family) for number in range(self.count)]
+        return [Trial.from_number(self.seed, number, self.family) for number in range(self.count)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,10 +124,10 @@ def _robot() -> Robot:
 def make(trial: Trial) -> Made:
     """The data set of a trial: the same whenever and wherever it is made."""
     random = trial.random
-    return _recorded(trial, random, DRAW[trial.family](random))
+    return _record_machine(trial, random, DRAW[trial.family](random))
 
 
-def _engine(random: np.random.Generator) -> Experiment:
+def _draw_engine(random: np.random.Generator) -> Experiment:
     return engine.draw_experiment(random, lambda seconds: _pilot(random, Flaw(seconds)))
 
 
@@ -137,7 +137,7 @@ def _pilot(random: np.random.Generator, flaw: Flaw | None = None) -> Pilot:
     noise = float(np.exp(random.uniform(*np.log(NOISE))))
     machine = Deviation(factors={name: 1 + float(random.uniform(-width, width)) for name, width in sorted(_robot().priors.items())})
     for _ in range(TRIES):
-        runs = [thinned(run, flaw.every) for run in draw_runs(random, *flaw.seconds, flaw.fit, flaw.judges)]
+        runs = [thin_run(run, flaw.every) for run in draw_runs(random, *flaw.seconds, flaw.fit, flaw.judges)]
         try:
             return Pilot.from_simulation(_robot(), machine, runs, noise, RATE / flaw.every)
         except UNBEARABLE:
@@ -159,7 +159,7 @@ def _hidden(random: np.random.Generator, pilot: Pilot, table: Mapping[str, Cause
         if len(found) == len(wanted):
             break
         form = table[str(key)](random)
-        size, misfit = pilot.sized(form, wanted[len(found)])
+        size, misfit = pilot.find_size(form, wanted[len(found)])
         if misfit >= 0.7 * MISFIT[0]:
             found.append(Hidden(str(key), form, size, misfit))
     return tuple(found)
@@ -169,18 +169,18 @@ def _misfits(random: np.random.Generator, count: int, low: float = MISFIT[0]) ->
     return np.exp(random.uniform(np.log(low), np.log(MISFIT[1]), count)).tolist()
 
 
-def _closed(random: np.random.Generator) -> Experiment:
+def _draw_closed(random: np.random.Generator) -> Experiment:
     pilot, count = _pilot(random), 1 + int(random.choice(len(MANY), p=MANY))
     low = CLEAR if count > 1 and random.uniform() < CLEARLY else MISFIT[0]
     return Experiment(pilot, "lib", _hidden(random, pilot, LIBRARY, _misfits(random, count, low)))
 
 
-def _open(random: np.random.Generator) -> Experiment:
+def _draw_open(random: np.random.Generator) -> Experiment:
     pilot = _pilot(random)
     return Experiment(pilot, "foreign", _hidden(random, pilot, FOREIGN, _misfits(random, 1)))
 
 
-def _wrong(random: np.random.Generator) -> Experiment:
+def _draw_wrong(random: np.random.Generator) -> Experiment:
     pilot, drawn = _pilot(random), random.uniform()
     if drawn < PARTS_WRONG[0]:
         return Experiment(pilot, "prior", _hidden(random, pilot, mistaken(pilot.robot), _misfits(random, 1)))
@@ -189,7 +189,7 @@ def _wrong(random: np.random.Generator) -> Experiment:
     return Experiment(pilot, "noise", declared=float((1 + np.exp(random.uniform(*np.log(NOISIER)))) ** random.choice([-1, 1])))
 
 
-def _poor(random: np.random.Generator) -> Experiment:
+def _draw_poor(random: np.random.Generator) -> Experiment:
     key = str(random.choice(sorted(POOR)))
     flaw = POOR[key]
     pilot = _pilot(random, flaw)
@@ -200,16 +200,16 @@ def _poor(random: np.random.Generator) -> Experiment:
 
 
 DRAW: dict[Family, Callable[[np.random.Generator], Experiment]] = {
-    "closed": _closed,
-    "open": _open,
-    "wrong": _wrong,
-    "poor": _poor,
+    "closed": _draw_closed,
+    "open": _draw_open,
+    "wrong": _draw_wrong,
+    "poor": _draw_poor,
     "null": lambda random: Experiment(_pilot(random), "null"),
-    "engine": _engine,
+    "engine": _draw_engine,
 }
 
 
-def _recorded(trial: Trial, random: np.random.Generator, experiment: Experiment) -> Made:
+def _record_machine(trial: Trial, random: np.random.Generator, experiment: Experiment) -> Made:
     """The runs of the machine with its causes, fewer where it does not bear all at once."""
     pilot, flaw = experiment.pilot, experiment.flaw
     acting = _draw_acting_runs(random, len(pilot.runs)) if flaw.partly else np.ones(len(pilot.runs), dtype=bool)
@@ -222,7 +222,7 @@ def _recorded(trial: Trial, random: np.random.Generator, experiment: Experiment)
             if not experiment.causes:
                 raise
             experiment = replace(experiment, causes=experiment.causes[:-1])
-    runs = tuple(spoiled(run, flaw, random, pilot.noise) for run in runs)
+    runs = tuple(spoil_run(run, flaw, random, pilot.noise) for run in runs)
     dataset = DataSet("experiment", pilot.robot.name, channels_of(pilot.robot), runs, pilot.rate, pilot.noise * experiment.declared)
     return Made(dataset, describe(experiment, machine, acting))
 
@@ -246,9 +246,9 @@ def _record_run(trial: Trial, experiment: Experiment, number: int, machine: Devi
         return engine.record_run(experiment.pilot, machine, experiment.pilot.runs[number], f"{trial} {number}")
     pilot, noise = experiment.pilot, zlib.crc32(f"{trial} {number}".encode())
     file, planned = rig_file(pilot.robot, machine, pilot.noise, trial.number, pilot.rate), pilot.runs[number]
-    run = played(file, machine, planned, noise)
+    run = simulate_run(file, machine, planned, noise)
     if experiment.flaw.loop:
-        goal = played(rig_file(pilot.robot, pilot.machine, 0.0, rate=pilot.rate), pilot.machine, planned, 0).points
+        goal = simulate_run(rig_file(pilot.robot, pilot.machine, 0.0, rate=pilot.rate), pilot.machine, planned, 0).points
         for _ in range(PASSES):  # what is measured and what is commanded agree more and more
-            run = played(file, machine, replace(planned, setpoints=add_feedback(planned.setpoints, run.points, goal)), noise)
+            run = simulate_run(file, machine, replace(planned, setpoints=add_feedback(planned.setpoints, run.points, goal)), noise)
     return run

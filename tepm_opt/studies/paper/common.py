@@ -1,4 +1,4 @@
-"""What the experiments share: rigs with the noise of a run, playing set points, means."""
+"""Shared parts of the experiments: rigs with the noise of a run, playing set points, means."""
 
 from __future__ import annotations
 

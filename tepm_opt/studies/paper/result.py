@@ -1,4 +1,4 @@
-"""What an experiment leaves: numbers by key, checks in words, tables."""
+"""Result of an experiment: numbers by key, checks in words, tables."""
 
 from __future__ import annotations
 

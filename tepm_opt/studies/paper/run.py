@@ -45,7 +45,7 @@ EXPERIMENTS: Mapping[str, Experiment] = {
     "fig9": Experiment(lambda setting, quick: shapes.dynamic_bend(setting), 3.0, 3.0, 3.0),
     "fig10": Experiment(lambda setting, quick: load.run_load_experiment(setting), 20.0, 5.0, 5.0),
     "fig11": Experiment(lambda setting, quick: gains.open_loop_gain(setting), 24.0, 0.0, 0.0),
-    "fig12": Experiment(lambda setting, quick: tracking.tracking(setting, _points(quick)), 0.0, 198.0, 54.0),
+    "fig12": Experiment(lambda setting, quick: tracking.track_circle(setting, _points(quick)), 0.0, 198.0, 54.0),
 }
 
 

@@ -61,7 +61,7 @@ def release_tendon(setting: Setting, noise: int) -> tuple[np.ndarray, np.ndarray
     return np.arange(len(curves[0])) / rate, np.mean(curves, axis=0)
 
 
-def damping(setting: Setting, stiff: float, time: np.ndarray, length: np.ndarray) -> tuple[float, np.ndarray]:
+def fit_damping(setting: Setting, stiff: float, time: np.ndarray, length: np.ndarray) -> tuple[float, np.ndarray]:
     """c_v in N s/m, and the fitted length (samples,) in m: least squares of a mass on spring and damper, let go at an unknown instant.
 
     A chain of n_e edges with c_v each acts as c_v / n_e between its ends; a third of the actuator's mass moves with its end.
@@ -94,7 +94,7 @@ def identification(setting: Setting) -> ExperimentResult:
     area = setting.model.values["A"]
     stiff = stiffness(area, pressures, lengths)
     time, length = release_tendon(setting, 1)
-    damped, fitted = damping(setting, stiff, time, length)
+    damped, fitted = fit_damping(setting, stiff, time, length)
     grown = lengths - lengths[0]
     numbers = {"free_length": float(1e3 * grown.max()), "K_a": stiff, "c_v": damped}
     method = (

@@ -73,7 +73,7 @@ def average_held_tips(held: HoldRecord, count: int) -> tuple[np.ndarray, np.ndar
     return at_end, tips
 
 
-def tracking(setting: Setting, points: int = 32) -> ExperimentResult:
+def track_circle(setting: Setting, points: int = 32) -> ExperimentResult:
     """Experiment of Fig. 12: the circle of Eq. (7) in both modes."""
     positions, wanted = targets(setting, points)
     numbers, tables, share = {}, {}, {}

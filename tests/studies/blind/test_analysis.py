@@ -15,7 +15,7 @@ from tepm_opt.discrepancy.assessment.calibration import calibrate_probability
 from tepm_opt.discrepancy.assessment.settings import DEFAULT
 from tepm_opt.hw.simulation.imperfections import Imperfections
 from tepm_opt.models.effects import effects
-from tepm_opt.studies.blind.analysis import Rate, analysed, reliability, wilson
+from tepm_opt.studies.blind.analysis import Rate, analyse_results, reliability, wilson
 from tepm_opt.studies.blind.calibration import calibrate_stated_set, fit_calibration
 from tepm_opt.studies.blind.causes import LIBRARY
 from tepm_opt.studies.blind.foreign import FOREIGN
@@ -161,7 +161,7 @@ def test_rates_count_what_they_say() -> None:
         result("null", [], "unexplained", []),
         {"family": "null", "seed": 0, "number": 9, "label": None, "verdict": None, "error": "RuntimeError: x", "seconds": {}},
     ]
-    found = analysed(results)
+    found = analyse_results(results)
     rates = {rate.name: (rate.count, rate.of) for rate in found.rates}
     assert rates["a false name above 0.9"] == (1, 9)
     assert rates["a false name above 0.5"] == (2, 9)
@@ -251,7 +251,7 @@ def test_a_threshold_promises_a_coverage() -> None:
 
 def test_the_stated_set_is_judged_by_its_threshold() -> None:
     judged = [scored(k, GAIN, {"actuator_gain[12]": DEFAULT.min_stated + (0.01 if k else -0.01)}) for k in range(10)]
-    rate = next(rate for rate in analysed(judged).rates if rate.name.startswith("the stated set"))
+    rate = next(rate for rate in analyse_results(judged).rates if rate.name.startswith("the stated set"))
     assert (rate.count, rate.of) == (9, 10)
 
 

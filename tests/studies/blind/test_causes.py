@@ -11,10 +11,10 @@ from tepm_opt.data.run import Run
 from tepm_opt.models.robot import Robot, load_robot
 from tepm_opt.studies.blind.causes import LIBRARY, Cause
 from tepm_opt.studies.blind.excitation import excitations
-from tepm_opt.studies.blind.flaws import CLOCKS, POOR, add_feedback, mistaken, spoiled
+from tepm_opt.studies.blind.flaws import CLOCKS, POOR, add_feedback, mistaken, spoil_run
 from tepm_opt.studies.blind.foreign import FOREIGN
-from tepm_opt.studies.blind.machine import Deviation, combine_deviations, played, rig_file
-from tepm_opt.studies.blind.sizes import UNBEARABLE, Pilot, simulated
+from tepm_opt.studies.blind.machine import Deviation, combine_deviations, rig_file, simulate_run
+from tepm_opt.studies.blind.sizes import UNBEARABLE, Pilot, simulate_points
 
 ROBOT = load_robot("kang2017")
 NOISE = 3e-4
@@ -43,7 +43,7 @@ def test_a_value_that_no_rig_has_is_not_borne() -> None:
 def test_noise_comes_behind_what_acts_on_points() -> None:
     """A point that stands still is measured anew each time."""
     still = Deviation(after=lambda time, points: np.broadcast_to(points[:1], points.shape).copy())
-    run = played(rig_file(ROBOT, still, NOISE), still, SHORT[0], 3)
+    run = simulate_run(rig_file(ROBOT, still, NOISE), still, SHORT[0], 3)
     assert run.points.std(axis=0) == pytest.approx(np.full((4, 3), NOISE), rel=0.2)
 
 
@@ -54,7 +54,7 @@ def test_a_misfit_is_what_recalibration_cannot_take() -> None:
     stiff = mistaken(ROBOT)["K_a"](np.random.default_rng(0))
 
     def apart(one: float, other: float) -> float:
-        both = [simulated(ROBOT, stiff.at(size), SHORT, 50.0) for size in (one, other)]
+        both = [simulate_points(ROBOT, stiff.at(size), SHORT, 50.0) for size in (one, other)]
         return float(np.sqrt(np.mean((both[0] - both[1]) ** 2)) / NOISE)
 
     assert pilot.misfit(stiff, 0.02) < 0.02 * apart(0.02, 0.0)
@@ -72,7 +72,7 @@ def test_recalibration_ends_at_the_priors(monkeypatch: pytest.MonkeyPatch) -> No
             moved = [(machine.factors.get(name, 1.0) - at.factors.get(name, 1.0)) / width for name, width in ROBOT.priors.items()]
             return change * ("payload" in machine.imperfections) + columns @ moved
 
-        monkeypatch.setattr("tepm_opt.studies.blind.sizes.simulated", linear)
+        monkeypatch.setattr("tepm_opt.studies.blind.sizes.simulate_points", linear)
         pilot = Pilot(ROBOT, at, SHORT, NOISE, 50.0, np.zeros(60), columns)
         assert pilot.misfit(LIBRARY["payload"](np.random.default_rng(0)), 1.0) == pytest.approx(left / np.sqrt(60) / NOISE)
 
@@ -86,7 +86,7 @@ def test_every_cause_can_be_hidden(table: Mapping[str, Cause]) -> None:
     for key, cause in table.items():
         for seed in range(4):  # a wall may stand where the tip never comes
             form = cause(np.random.default_rng(seed))
-            size, misfit = pilot.sized(form, 3.0)
+            size, misfit = pilot.find_size(form, 3.0)
             assert form.low <= size <= form.high
             assert set(form.detail) <= set(form.names)
             found[key] = max(misfit, found.get(key, 0.0))
@@ -100,7 +100,7 @@ def test_poor_data_stay_mostly_what_they_were(key: str) -> None:
     random = np.random.default_rng(0)
     time = np.arange(500) / 50
     run = Run("a.csv", "fit", time, np.zeros((500, 12)), np.zeros((500, 3)), 0.1 * np.sin(time)[:, None, None] * np.ones((500, 4, 3)))
-    found = spoiled(run, POOR[key], random, NOISE).points
+    found = spoil_run(run, POOR[key], random, NOISE).points
     lost = np.isnan(found).any(axis=2)
     moved = np.abs(np.where(lost[..., None], run.points, found) - run.points).max(axis=2)
     share = {"gaps": (0.25, 0.35), "hidden_points": (0.12, 0.13)}.get(key, (0.0, 0.0))
@@ -113,10 +113,10 @@ def test_a_controller_pushes_the_tip_back() -> None:
     """Feedback on a machine that leans takes part of what it leans by."""
     leaning = Deviation({"external_load": {"force_N": (0.03, 0.0, 0.0)}})
     run = SHORT[-1]
-    goal = played(rig_file(ROBOT, Deviation(), 0.0), Deviation(), run, 0).points
-    before = played(rig_file(ROBOT, leaning, 0.0), leaning, run, 0).points
+    goal = simulate_run(rig_file(ROBOT, Deviation(), 0.0), Deviation(), run, 0).points
+    before = simulate_run(rig_file(ROBOT, leaning, 0.0), leaning, run, 0).points
     held = add_feedback(run.setpoints, before, goal)
-    after = played(rig_file(ROBOT, leaning, 0.0), leaning, type(run)(run.file, run.role, held), 0).points
+    after = simulate_run(rig_file(ROBOT, leaning, 0.0), leaning, type(run)(run.file, run.role, held), 0).points
     off = [np.abs((points - goal)[100:, -1, 0]).mean() for points in (before, after)]
     assert off[0] > 1e-3
     assert 0.2 * off[0] < off[1] < 0.8 * off[0]

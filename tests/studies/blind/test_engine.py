@@ -12,12 +12,12 @@ import pytest
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.models.effects import effects
 from tepm_opt.models.robot import load_robot
-from tepm_opt.studies.blind.analysis import analysed
+from tepm_opt.studies.blind.analysis import analyse_results
 from tepm_opt.studies.blind.engine_causes import KNOWN, OTHER_MEANING_IN_MUJOCO, UNKNOWN
 from tepm_opt.studies.blind.excitation import Excitation, draw_runs, excitations
-from tepm_opt.studies.blind.machine import Deviation, played, rig_file
+from tepm_opt.studies.blind.machine import Deviation, rig_file, simulate_run
 from tepm_opt.studies.blind.mujoco_world import simulate
-from tepm_opt.studies.blind.run import examined
+from tepm_opt.studies.blind.run import examine_trial
 from tepm_opt.studies.blind.table import markdown
 from tepm_opt.studies.blind.trial import CYCLE, Trial, make
 from tests.studies.blind.test_analysis import Hidden, result
@@ -41,7 +41,7 @@ def written(folder: Path) -> dict[str, bytes]:
 def test_a_trial_has_the_same_bytes_each_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tepm_opt.studies.blind.engine.SECONDS", (0.46, 0.46))
     monkeypatch.setattr("tepm_opt.studies.blind.trial.draw_runs", lambda *args: draw_runs(*args)[::4])  # the first run and one to judge by
-    trial = Trial.numbered(0, SHORT_NULL, "engine")
+    trial = Trial.from_number(0, SHORT_NULL, "engine")
     for name in ("one", "two"):
         (tmp_path / name).mkdir()
         make(trial).write(tmp_path / name, "data")
@@ -68,7 +68,7 @@ def test_the_names_are_those_of_effects() -> None:
 def test_with_nothing_hidden_it_is_the_same_robot(file: str) -> None:
     """MuJoCo's integrator and actuators leave a tenth of the smallest noise."""
     run, factors = shortened(file, 150), Deviation(factors={"K_a": 1.02, "c_a": 0.8})
-    ours = played(rig_file(ROBOT, factors, 0.0), factors, run, 0).points
+    ours = simulate_run(rig_file(ROBOT, factors, 0.0), factors, run, 0).points
     assert np.sqrt(np.mean((simulate(ROBOT, factors, [run])[0] - ours) ** 2)) < 1.5e-5
 
 
@@ -88,7 +88,7 @@ def test_a_cause_does_what_the_rig_does_by_other_means(key: str, at: Any) -> Non
     run, form = shortened("mixed.csv", 200), KNOWN[key](np.random.default_rng(1))
     plain, changed = simulate(ROBOT, Deviation(), [run])[0], simulate(ROBOT, form.at(form.usual), [run])[0]
     rig = Deviation(at(form.usual))
-    other = played(rig_file(ROBOT, rig, 0.0), rig, run, 0).points
+    other = simulate_run(rig_file(ROBOT, rig, 0.0), rig, run, 0).points
     assert np.linalg.norm(changed - other) < 0.25 * np.linalg.norm(changed - plain)
 
 
@@ -104,7 +104,7 @@ def test_every_cause_moves_the_robot(key: str) -> None:
 @pytest.mark.slow
 def test_a_whole_trial() -> None:
     """Nothing is hidden, and nothing is found."""
-    found = examined(Trial.numbered(0, NULL, "engine"))
+    found = examine_trial(Trial.from_number(0, NULL, "engine"))
     assert found["error"] is None
     assert found["label"]["kind"] == "null"
     assert found["verdict"]["status"] == "no_discrepancy"
@@ -120,7 +120,7 @@ def test_the_table_has_rows_of_its_own() -> None:
         result("engine", [], "no_discrepancy", [], 3, kind="foreign", causes=[wall]),
         result("null", [], "unexplained", []),
     ]
-    found = analysed(lines)
+    found = analyse_results(lines)
     rates = {rate.name: (rate.count, rate.of) for rate in found.rates}
     assert rates["MuJoCo: an alarm where nothing is hidden"] == (0, 1)
     assert rates["MuJoCo: detected"] == (2, 3)

@@ -39,10 +39,10 @@ def interrupted(trial: Trial) -> dict[str, Any]:
 
 
 def test_families_take_turns() -> None:
-    assert [Trial.numbered(0, number).family for number in range(len(CYCLE))] == list(CYCLE)
-    assert Trial.numbered(0, 3, "null").family == "null"
+    assert [Trial.from_number(0, number).family for number in range(len(CYCLE))] == list(CYCLE)
+    assert Trial.from_number(0, 3, "null").family == "null"
     with pytest.raises(InputError, match="closed"):
-        Trial.numbered(0, 0, "opne")
+        Trial.from_number(0, 0, "opne")
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-/* Operating points: the modal model of a row of the reference, in discrete time. */
+/* DiscreteModalModel points: the modal model of a row of the reference, in discrete time. */
 
 /* exp, and the integrals of it that make up start and end, over a period: a series over a part of the period that is short for the
    fastest mode, doubled up. */

@@ -31,7 +31,7 @@ from tepm_opt.control.estimation.kalman_filter import FilterSettings
 from tepm_opt.control.mpc.compiled.layout import Sizes
 from tepm_opt.control.mpc.prediction import NOTHING, RIDGE
 from tepm_opt.control.mpc.settings import MpcSettings, Use
-from tepm_opt.control.references.path_following import FreeReference
+from tepm_opt.control.references.path_following import PathFollowingReference
 from tepm_opt.control.references.reference import Reference
 from tepm_opt.hw.rig import Command
 from tepm_opt.models.compile import CompiledModel
@@ -95,7 +95,7 @@ class StepSetup:
         ahead = int(max(np.ceil(late / period - 1e-9), np.ceil((late + computing) / period - SLACK)))
         noise = max((tracker.noise_rms_m if tracker else 1e-3) / np.sqrt(3), 1e-6)
         first = _first_command(model, reference.forces[0], settings)
-        start = modal_model(reference.equilibria[0]).damped(settings.damping)
+        start = modal_model(reference.equilibria[0]).scale_damping(settings.damping)
         believed = settings.filter or replace(FilterSettings(), **model.model.filter)
         filtering = believed.with_friction_prior(model.tendon_friction, settings.mid_range * float(tension_max[0]))
         planner = PressurePlanner(pressure_max, robot.actuation.pressure_step, settings.pressure_planner)
@@ -114,7 +114,7 @@ class StepSetup:
     def fits(self) -> bool:
         """Whether there is a step in C for it."""
         asked = self.controller
-        plain = self.reference.keep_out is None and not isinstance(self.reference, FreeReference)
+        plain = self.reference.keep_out is None and not isinstance(self.reference, PathFollowingReference)
         return plain and asked.use is Use.BOTH and self.model.is_c and asked.stages > 1
 
     @property

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from tepm_opt.control.controller import Telemetry, Value
-from tepm_opt.control.diagnostics.sensors import Doubts
-from tepm_opt.control.estimation.kalman_filter import Operating, StateEstimate
+from tepm_opt.control.diagnostics.sensors import SensorDiagnostics
+from tepm_opt.control.estimation.kalman_filter import DiscreteModalModel, StateEstimate
 from tepm_opt.control.mpc.compiled.layout import SYMBOLS
 from tepm_opt.control.mpc.compiled.setup import FITS, StepSetup
 from tepm_opt.control.mpc.record import LATE, Step
@@ -50,7 +50,7 @@ class _Course(ctypes.Structure):
 class CompiledStep:
     """The step of one controller; not for several threads at once."""
 
-    def __init__(self, setup: StepSetup, library: ctypes.CDLL, doubts: Doubts) -> None:
+    def __init__(self, setup: StepSetup, library: ctypes.CDLL, doubts: SensorDiagnostics) -> None:
         self._setup, self._doubts, sizes = setup, doubts, setup.sizes
         p, d = ctypes.c_void_p, ctypes.c_double
         library.step_size.restype = library.step_outcome.restype = ctypes.c_long
@@ -81,7 +81,7 @@ class CompiledStep:
         self._picked = self._columns()
 
     @staticmethod
-    def from_setup(setup: StepSetup, doubts: Doubts) -> CompiledStep | None:
+    def from_setup(setup: StepSetup, doubts: SensorDiagnostics) -> CompiledStep | None:
         """The compiled step of a setup, as its backend asks for; None, where that is "auto", if there is none for it or no compiler.
 
         Raises:
@@ -146,7 +146,7 @@ class CompiledStep:
         count, modes = sizes.actuators, 2 * sizes.modes
         unknown, strength, friction, hysteresis = get["state"][modes : modes + 4 * count].reshape(4, count)
         estimate = StateEstimate(
-            self._operating(int(one["row"])), get["state"][:modes], unknown, strength, friction, get["direction"], hysteresis,
+            self._read_operating_point(int(one["row"])), get["state"][:modes], unknown, strength, friction, get["direction"], hysteresis,
             get["turning"], get["deviation"], get["state"][modes + 4 * count :].reshape(-1, 3), get["points"].reshape(-1, 3), one["nis"],
             int(one["seen"]), get["refused"].astype(bool),
         )  # fmt: skip
@@ -155,7 +155,7 @@ class CompiledStep:
             OUTCOMES[int(one["status"])], int(one["iterations"]), (one["seconds"], float("nan")),
         )  # fmt: skip
 
-    def _operating(self, row: int) -> Operating:
+    def _read_operating_point(self, row: int) -> DiscreteModalModel:
         """The operating point of the last estimate."""
         sizes = self._setup.sizes
         modes, outputs, reference = sizes.modes, 3 * sizes.points, self._setup.reference
@@ -167,7 +167,7 @@ class CompiledStep:
         weights, row = basis[:, :modes].T * self._held["masses"], int(reference.rows_at(row))
         model = ModalModel(reference.equilibria[row], basis, weights, values[:modes], damping, drive, observe, gain)
         A, start, end = discrete
-        return Operating(model, reference.forces[row], A, start, end, reference.period)
+        return DiscreteModalModel(model, reference.forces[row], A, start, end, reference.period)
 
     def _columns(self) -> tuple[list[str], Callable[[list[float]], tuple[float, ...]]]:
         """Names of the log's columns, and what picks their values from the results."""

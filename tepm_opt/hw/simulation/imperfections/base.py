@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from tepm_opt.data.documents import Section
 from tepm_opt.errors import unknown_name
 from tepm_opt.models.layout import HORIZONTAL, VERTICAL, Layout
 from tepm_opt.models.robot import Robot
+from tepm_opt.renamed import adopt_renamed_hook
 
 __all__ = [
     "Body",
@@ -231,6 +232,10 @@ class Imperfection(Section):
     of_devices: ClassVar[bool] = False
     of_regulators: ClassVar[bool] = False
 
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        adopt_renamed_hook(cls, "shaking", "base_motion")
+
     @property
     def active(self) -> bool:
         """Whether any key differs from its default."""
@@ -262,7 +267,7 @@ class Imperfection(Section):
         """The force that the tip meets, if any."""
         return None
 
-    def shaking(self, body: Body) -> np.ndarray | None:
+    def base_motion(self, body: Body) -> np.ndarray | None:
         """Motion of the base, if it moves: angular frequency, phase and acceleration in the base frame of sines, (sines, 5), SI."""
         return None
 

@@ -142,7 +142,7 @@ class BaseVibration(Imperfection):
         part = sum(share * np.sin(turn * measured.time + phase) for turn, share in self._waves)
         return measured.points + part * np.array(self.amplitude_m)
 
-    def shaking(self, body: Body) -> np.ndarray | None:
+    def base_motion(self, body: Body) -> np.ndarray | None:
         turn = body.robot.mount.rotation
         accelerations = [-share * rate**2 * np.array(self.amplitude_m) @ turn for rate, share in self._waves]
         rows = [[rate, np.deg2rad(self.phase_deg), *part] for (rate, _), part in zip(self._waves, accelerations, strict=True)]
@@ -168,7 +168,7 @@ class SampleJitter(Imperfection):
 
 
 def evaluate_shaking(shaking: np.ndarray, time: float, passed: float) -> np.ndarray:
-    """Evaluate the acceleration (3,) in m/s² of a base that moves by `Imperfection.shaking`, as far as a robot feels it, in the base frame.
+    """Evaluate the acceleration (3,) in m/s² of a base that moves by `Imperfection.base_motion`, as a robot feels it, in the base frame.
 
     Args:
         shaking: harmonics.
