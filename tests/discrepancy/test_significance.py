@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tepm_opt.data.run import Run, RunSet
+from tepm_opt.data.run import Role, Run, RunSet
 from tepm_opt.data.signals import Signals
 from tepm_opt.discrepancy.adapters.callable_plant import Simulator
 from tepm_opt.discrepancy.assessment.result import VerdictStatus
@@ -65,7 +65,7 @@ def ageing(run: Run, values: Mapping[str, Any]) -> np.ndarray:
     return values["compliance"] * load * (1 + share)
 
 
-def worn(role: str, seed: int, change: float) -> Run:
+def worn(role: Role, seed: int, change: float) -> Run:
     """Deflections over the load in five minutes, of a spring that softens with a time constant of an hour."""
     random, rows = np.random.default_rng(seed), 400
     inputs = np.column_stack([random.uniform(0.2, 1, rows), np.linspace(0, 5, rows)])
@@ -80,7 +80,7 @@ def test_an_effect_is_named_where_only_strength_over_time_constant_is_known() ->
     m.parameter("compliance", 1.0, std=0.05)
     time_constant = Quantity("time_constant", "1", 100.0, (100.0,), 20.0, 1e4, shape=True)
     m.effects([Law("ageing", "body", (Quantity("change", "1", 0.0, (0.05,), -0.9, 10.0), time_constant))], "spring")
-    m.effects([Law("offset", "sensor", (Quantity("by", "signal", 0.0, (0.01,), -1.0, 1.0),))], "deflection", signal=1.0)
+    m.effects([Law("offset", "output", (Quantity("by", "signal", 0.0, (0.01,), -1.0, 1.0),))], "deflection", signal=1.0)
     plant, answers = m.plant(ageing, static=True), []
     for change in (0.2, 0.0):
         dataset = RunSet.from_runs("worn", [worn("fit", 1, change), worn("validation", 2, change)])

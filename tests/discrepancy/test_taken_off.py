@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tepm_opt.data.run import Run, RunSet
+from tepm_opt.data.run import Role, Run, RunSet
 from tepm_opt.data.signals import Signals
 from tepm_opt.discrepancy.adapters.callable_plant import Simulator
 from tepm_opt.discrepancy.assessment.result import VerdictStatus
@@ -24,7 +24,7 @@ def deflection(run: Run, values: Mapping[str, Any]) -> np.ndarray:
     return values["compliance"] * (run.inputs[:, 0] + values[WEIGHT])
 
 
-def recorded(role: str, seed: int, weight: float) -> Run:
+def recorded(role: Role, seed: int, weight: float) -> Run:
     """A run with this weight."""
     random, rows = np.random.default_rng(seed), 300
     inputs = random.uniform(0.2, 1, (rows, 1))
