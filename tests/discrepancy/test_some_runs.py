@@ -156,8 +156,8 @@ class TestPlant:
         stiffness = next(c for c in wrong_values(NOMINAL) if c.detail == "K_a")
         known = network.free(network.known)
         free = {f.name: f for f in collect_free_parameters(known, network, [stiffness, RADIUS])}
-        assert (free["K_a"].low, free["K_a"].high) == pytest.approx((179.43, 717.72))
-        assert (free["r"].low, free["r"].high) == pytest.approx((0.02, 0.08))
+        assert (free["K_a"].low, free["K_a"].high) == pytest.approx((35.886, 3588.6))
+        assert (free["r"].low, free["r"].high) == pytest.approx((0.004, 0.4))
         assert len(free) == len(known) + 1
 
 
