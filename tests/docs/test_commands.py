@@ -29,8 +29,8 @@ from tests.hw.test_loop import hurry
 
 COMMANDS = ROOT / "docs" / "reference" / "commands.md"
 LONG = ("tepm identify", "tepm discrepancy", "tepm update-model", "tepm demo", "tepm study", "tepm data excite")
-LACKING = ("tepm identify", "tepm discrepancy", "tepm update-model", "tepm hw check")
-"""Those whose status 1 is an answer: the model lacks something, commissioning is not over."""
+LACKING = ("tepm identify", "tepm discrepancy", "tepm update-model", "tepm hw check", "tepm data excite")
+"""Those whose status 1 is an answer: the model lacks something, commissioning is not over, a value has no influence in any run."""
 SERVING = ("tepm studio",)
 BOARD = ("serial:", "tepm hw check")
 FROM_VERDICT = ("found", "corrected")
