@@ -137,18 +137,12 @@ def _rests_at_atmosphere(hypothesis: SetupHypothesis, runs: Sequence[Run]) -> bo
     return bool(np.all(lowest > 0.9 * ATMOSPHERE) and lowest.min() < 1.1 * ATMOSPHERE)
 
 
-def _is_shrunk(hypothesis: SetupHypothesis, runs: Sequence[Run]) -> bool:
-    """Whether a mend makes inputs smaller by another unit, as a muscle or tendon does that lost force."""
-    size = [(np.abs(hypothesis.apply(run).inputs).sum(), np.abs(run.inputs).sum()) for run in runs]
-    return hypothesis.kind == "scaled_channel" and sum(mended for mended, _ in size) < sum(recorded for _, recorded in size)
-
-
 def _is_explained(comparison: Comparison, after: Misfit, hypothesis: SetupHypothesis) -> bool:
     """Whether a mend removes visibly more than it spoils, in all of the data, about as much as it says, and explains the motion."""
     before, settings = comparison.misfit(), comparison.settings
     size, doubt = before.coefficient(after)
     expected = hypothesis.kind == "absolute_pressure" and _rests_at_atmosphere(hypothesis, comparison.runs)
-    close = settings.max_distance_smaller if _is_shrunk(hypothesis, comparison.runs) else settings.max_distance
+    close = settings.max_distance_smaller if hypothesis.shrinks(comparison.runs) else settings.max_distance
     is_visible = before.mean_square - after.mean_square >= settings.min_removed
     most = min(settings.max_unexplained * comparison.motion_mean_square, settings.max_left * before.mean_square)
     is_motion = after.mean_square <= most  # else of another machine, invented, or the model's own error

@@ -198,11 +198,10 @@ class Comparison:
         mended = [hypothesis.apply(run) for run in self.runs]
         finite = np.isfinite(self.limits)
         limits = np.where(finite, self.limits, 0.0)
-        if any(
-            (run.inputs[:, finite] > 1.02 * limits[finite]).any() or (run.inputs[:, finite] < -0.02 * limits[finite]).any()
-            for run in mended
-        ):
+        if not self._are_within_limits(mended):
             return False
+        if len(hypothesis.columns) == 1 and hypothesis.shrinks(self.runs) and self._are_within_limits(self.runs):
+            return False  # a weak actuator, of which there are more than of wrong units in one channel
         if hypothesis.kind == "scaled_channel" and finite.all():
             peaks = np.max([np.abs(run.inputs).max(axis=0) for run in mended], axis=0)
             if (peaks / limits)[list(hypothesis.columns)].max() < 0.02:
@@ -211,6 +210,13 @@ class Comparison:
             not np.array_equal(run.inputs, other.inputs) or not np.array_equal(run.tip_force, other.tip_force)
             for run, other in zip(self.runs, mended, strict=True)
         )
+
+    def _are_within_limits(self, runs: Sequence[Run]) -> bool:
+        """Whether no input leaves its limits by more than 2 %."""
+        finite = np.isfinite(self.limits)
+        limits = self.limits[finite]
+        inputs = [run.inputs[:, finite] for run in runs]
+        return not any((values > 1.02 * limits).any() or (values < -0.02 * limits).any() for values in inputs)
 
     def within_limits(self, run: Run) -> Run:
         """The run with inputs that leave the limits by a little put on them."""

@@ -43,6 +43,11 @@ class SetupHypothesis:
     changes: str
     columns: tuple[int, ...] = ()
 
+    def shrinks(self, runs: Sequence[Run]) -> bool:
+        """Whether the mend makes inputs smaller by another unit, as a muscle or tendon does that lost force."""
+        size = [(np.abs(self.apply(run).inputs).sum(), np.abs(run.inputs).sum()) for run in runs]
+        return self.kind == "scaled_channel" and sum(mended for mended, _ in size) < sum(recorded for _, recorded in size)
+
     def __repr__(self) -> str:
         """Kind and channels, in a line."""
         return f"SetupHypothesis({self.kind}: {', '.join(self.channels)})"
