@@ -15,7 +15,7 @@ from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.adapters.network import candidate
 from tepm_opt.discrepancy.assessment.residual_locations import Localisation
 from tepm_opt.discrepancy.assessment.result import Errors, Named, Place, Rival, Value, Verdict, VerdictStatus
-from tepm_opt.discrepancy.reporting.effect_table import HEAD, effect_table, sentences_beside_table
+from tepm_opt.discrepancy.reporting.effect_table import HEAD, describe_sizes, effect_table, sentences_beside_table
 from tepm_opt.models.model import Model
 from tepm_opt.plots import save
 from tepm_opt.plots.discrepancy import evidence_figure, gap_figure, heat_figure, over_time_figure, points_figure, tip_figure
@@ -234,3 +234,10 @@ def test_beside_the_table_stand_the_errors_alone() -> None:
     assert sentences_beside_table(alike, "It misses at s4.") == ("Missing: x.", "The error falls.")
     nothing = replace(verdict, effects=(), status=VerdictStatus.NO_DISCREPANCY, sentences=("Nothing is missing.", "The error falls."))
     assert sentences_beside_table(nothing, "") == nothing.sentences
+
+
+def test_many_sizes_that_are_not_told_from_null_stay_short() -> None:
+    """Else one cell makes the whole table wider than a terminal."""
+    values = {f"gain_{k}": Value(0.001, 0.01, "1", 0.0) for k in range(9)}
+    (cell,) = describe_sizes(Named(candidate("actuator_scatter"), 0.8, values, 0.01))
+    assert cell == "gain 0, gain 1 and 7 more not significantly different from 0"

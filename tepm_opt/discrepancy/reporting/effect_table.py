@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tepm_opt.discrepancy.assessment.result import Named, Verdict, VerdictStatus
-from tepm_opt.solvers.text import percent, with_deviation
+from tepm_opt.solvers.text import format_names, percent, with_deviation
 
 HEAD = ("effect", "where", "size ± std", "probability", "gap only it closes")
 WHERE = HEAD.index("where")
@@ -78,7 +78,8 @@ def describe_sizes(effect: Named) -> list[str]:
         parts.append(f"{name.replace('_', ' ')} {with_deviation(factor * value.value, factor * value.std)} {unit}")
     if together:
         return [*parts, "known only together"]
-    return parts + [f"{' and '.join(names)} not significantly different from {nominal}" for nominal, names in null.items()]
+    some = {at: " and ".join(names) if len(names) < 3 else format_names(names, 3) for at, names in null.items()}
+    return parts + [f"{names} not significantly different from {nominal}" for nominal, names in some.items()]
 
 
 def with_unit(value: float, unit: str) -> str:
