@@ -37,5 +37,6 @@ def write_model_update_page(path: str | Path, done: ModelUpdate) -> None:
         groups=groups,
         status=status.value,
         heading=summarise_verdict(status, len(last["effects"])),
-        paragraph=last["paragraph"],
+        table=last.get("table", ()),
+        answer=last.get("answer", last["paragraph"]),
     )  # fmt: skip

@@ -19,7 +19,7 @@ from tepm_opt.discrepancy.selection.fitting import Hypothesis
 from tepm_opt.discrepancy.selection.forward_backward import Explanation
 from tepm_opt.discrepancy.selection.screening import Score
 from tepm_opt.solvers.identify import ParameterEstimate
-from tepm_opt.solvers.text import format_quantity
+from tepm_opt.solvers.text import format_quantity, percent
 from tepm_opt.solvers.uncertainty import unidentifiable
 
 ONE_CLOCK = "put inputs and positions on one clock"
@@ -73,7 +73,7 @@ def describe_answer(
         head = "Missing" if status is VerdictStatus.NAMED else "Partly explained"
         return (
             f"{head}: {_describe_effects(named)}.",
-            f"{falls} (corrected; noise {floor}): {100 * errors.gap_closed_fraction:.0f} % of the gap is closed.",
+            f"{falls} (corrected; noise {floor}): {percent(errors.gap_closed_fraction)} of the gap is closed.",
             where,
         )
     if status is VerdictStatus.INDISTINGUISHABLE:
