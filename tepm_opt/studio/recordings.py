@@ -192,7 +192,8 @@ def _of_verdict(folder: Path, model: Model | None) -> Recordings:
 def _words(content: Mapping[str, Any]) -> str:
     """A verdict as Markdown, without pictures: the page would open what they name."""
     status = f"**{str(content.get('status', '?')).replace('_', ' ')}**"
-    lines = [f"| {' | '.join(map(str, row))} |" for row in content.get("table", ())]
-    table = "\n".join([lines[0], "|" + " --- |" * len(content["table"][0]), *lines[1:]]) if lines else ""
+    rows = [list(map(str, row))[:-1] for row in content.get("table", ())]  # the panel is too narrow for the share of the gap
+    lines = [f"| {' | '.join(row)} |" for row in rows]
+    table = "\n".join([lines[0], "|" + " --- |" * len(rows[0]), *lines[1:]]) if rows else ""
     said = str(content.get("answer", content.get("paragraph", "")))  # verdicts until version 0.2 have a paragraph alone
     return "\n\n".join(part for part in (status, table, said) if part).replace("![", "[")

@@ -75,9 +75,7 @@ def test_a_verdict(tmp_path: Path) -> None:
     found = open_recordings(write(tmp_path))
     assert [run.file for run in found.runs] == ["other.csv", "bend.csv"]
     assert found.models == {"nominal": KNOWN, "corrected": replace(HEAVY, source=KNOWN.source)}
-    table = (
-        "| effect | size ± std | probability | gap only it closes |\n| --- | --- | --- | --- |\n| payload | mass 30 ± 1 g | 1.00 | 100 % |"
-    )
+    table = "| effect | size ± std | probability |\n| --- | --- | --- |\n| payload | mass 30 ± 1 g | 1.00 |"
     assert found.verdict.startswith(f"**named**\n\n{table}\n\nThe arm carries more")
     assert "![" not in found.verdict
 
