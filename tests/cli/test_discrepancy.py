@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -162,8 +163,8 @@ class TestDiscrepancy:
         head, row, *_ = verdict["table"]
         assert dict(zip(head, row, strict=True))["effect"] == "sensor_offset"
         page = (here / "out" / "report.html").read_text()
-        assert all(f">{cell}<" in page for line in verdict["table"] for cell in line[1:])
-        assert verdict["answer"] in page
+        assert all(f">{escape(cell)}<" in page for line in verdict["table"] for cell in line[1:])
+        assert escape(verdict["answer"]) in page
         assert verdict["answer"] in verdict["paragraph"]
         assert names_in(here / "out") == {"verdict.json", "model.toml", "report.html", "evidence.png", *FIGURES}
         assert "sensor_offset" in (here / "out" / "report.html").read_text()
