@@ -17,6 +17,7 @@ CONTENTS: dict[str, tuple[str, ...]] = {
     "How to": tuple(
         f"how-to/{name}"
         for name in (
+            "choose",
             "own_robot",
             "control",
             "recording",

@@ -23,13 +23,15 @@ PAGE = "index.html"
 
 def lines(run: DemoRun, out: Path) -> list[str]:
     """Summarize a demo in lines for the terminal."""
-    text = [*(ik.lines(run.hybrid, out) if run.hybrid else ()), *(gain.lines(run.gains, out) if run.gains else ())]
-    if run.loops:
-        errors = ", ".join(f"{name} {1e3 * loop.rms(true=True):.3g}" for name, loop in run.loops.items())
-        text.append(f"closed loop on the simulated rig, tip error rms in mm: [bold]{errors}[/]")
-    else:
-        text.append(f"[yellow]no closed loop: {escape(run.note)}[/]")
-    return [*text, f"open [bold]{escape(str(out / PAGE))}[/]"]
+    loops = run.summary()["closed_loop"]
+    errors = ", ".join(f"{name} {1e3 * loop['errors']['true']['rms_m']:.3g}" for name, loop in loops.items() if loop["errors"]["true"])
+    answer = f"closed loop on the simulated rig, tip error rms in mm: [bold]{errors}[/]"
+    return [
+        answer if loops else f"[yellow]no closed loop: {escape(run.note)}[/]",
+        *(ik.lines(run.hybrid, out) if run.hybrid else ()),
+        *(gain.lines(run.gains, out) if run.gains else ()),
+        f"open [bold]{escape(str(out / PAGE))}[/]",
+    ]
 
 
 def demo(

@@ -51,7 +51,7 @@ def discrepancy(
     Writes verdict.json, model.toml (for --model of every command), report.html and its figures. An interrupted run goes on where it
     was when started again. Exit status: 0 named or nothing missing, 1 set-up error, indistinguishable or unexplained.
     """
-    from tepm_opt.discrepancy.reporting.effect_table import HEAD, effect_rows, sentences_beside_table
+    from tepm_opt.discrepancy.reporting.effect_table import effect_table, sentences_beside_table
     from tepm_opt.discrepancy.symbolic.page import paragraph
     from tepm_opt.jobs.discrepancy import EFFECTS, MODEL, VALUES, VERDICT
     from tepm_opt.solvers.text import align_columns
@@ -86,12 +86,14 @@ def discrepancy(
         print((out / VERDICT).read_text(encoding="utf-8"), end="")
     else:
         stdout.print(f"[bold {'green' if found else 'yellow'}]{verdict.status.value}[/]")
-        rows = effect_rows(verdict.effects)
+        head, rows = effect_table(verdict)
+        places = result.localisation.sentence
         for line in (
             *verdict.setup_sentences,
-            *(align_columns(HEAD, rows) if rows else ()),
-            *sentences_beside_table(verdict),
+            *(align_columns(head, rows) if rows else ()),
+            *sentences_beside_table(verdict, places),
             verdict.step,
+            *((places,) if places in verdict.sentences else ()),
             *verdict.notes,
             *([paragraph(result.law), f"{result.law.file}"] if result.law is not None else []),
             f"{verdict.seconds:.0f} s, {verdict.fits} fits; {out / PAGE}, {out / (VALUES if plant else MODEL)}, {out / VERDICT}",

@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 
 def lines(run: GainRun, out: Path) -> list[str]:
     """Summarize gain matrices in lines for the terminal."""
-    text = [
-        f"[bold]G at {sum(gain is not None for gain in run.gains)} of {len(run.gains)}[/] operating points, files in {escape(str(out))}"
-    ]
-    for kind, (low, high) in run.spans().items():
+    summary = run.summary()
+    rows = summary["normalised"]
+    text = [f"[bold]G at {sum(row is not None for row in rows)} of {len(rows)}[/] operating points, files in {escape(str(out))}"]
+    for kind, (low, high) in summary["singular_values_m_per_range"].items():
         text.append(f"{kind}: singular values {1e3 * low:.1f} … {1e3 * high:.1f} mm per full range")
-    return text + unsolved_lines(run.summary())
+    return text + unsolved_lines(summary)
 
 
 def gain(

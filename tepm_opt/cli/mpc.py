@@ -133,9 +133,9 @@ def lines(loop: ClosedLoop, out: Path) -> list[str]:
 def round_lines(run: RoundsRun, out: Path) -> list[str]:
     """Summarize rounds of learning in lines for the terminal."""
     told, kind = run.summary(), "true" if run.knows_truth else "tracked"
-    text = [f"[bold]{told['controller']}[/] on {told['rig']}: {len(run.loops)} of {run.asked} rounds, files in {escape(str(out))}"]
-    rms = [1e3 * loop.rms(run.knows_truth) for loop in run.loops]
-    errors = " → ".join("nothing that counts" if error != error else f"{error:.3g}" for error in rms)
+    text = [f"[bold]{told['controller']}[/] on {told['rig']}: {len(told['rounds'])} of {told['asked']} rounds, files in {escape(str(out))}"]
+    rms = [each[f"{kind}_rms_m"] for each in told["rounds"]]
+    errors = " → ".join("nothing that counts" if error is None else f"{1e3 * error:.3g}" for error in rms)
     most = 1e3 * told["largest_correction_m"]
     text.append(f"error of the {kind} tip, mm rms: [bold]{errors}[/]; targets are now corrected by up to {most:.2g} mm")
     text += [f"[yellow]{escape(says)}[/]" for says in dict.fromkeys(says for loop in run.loops for _, says in loop.doubts.values())]

@@ -18,6 +18,7 @@ from typer.core import TyperGroup
 
 from tepm_opt.cli import (
     INTERRUPTED,
+    cite,
     data,
     demo,
     discrepancy,
@@ -106,7 +107,7 @@ PANELS = {
     "Control": ("mpc", "tune", "play", "studio"),
     "Data and verdict": ("record", "data", "identify", "discrepancy", "update-model"),
     "Hardware": ("hw",),
-    "More": ("demo", "export", "study"),
+    "More": ("demo", "export", "study", "cite"),
 }
 """Commands by the panels of the help, in the order of work."""
 OLD_NAMES = {
@@ -139,6 +140,7 @@ COMMANDS: dict[str, Callable[..., int] | typer.Typer] = {
     "demo": demo.demo,
     "export": export.app,
     "study": study.app,
+    "cite": cite.cite,
     "modes": modes.modes,
     "rig": rig.app,
     "excite": excite.excite,

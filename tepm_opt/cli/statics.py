@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -26,11 +26,11 @@ def lines(run: StaticsRun, out: Path | None) -> list[str]:
     """Summarize equilibria in lines for the terminal."""
     summary = run.summary()
     text = [f"[bold]{summary['solved']} of {summary['points']}[/] equilibria solved" + (f", files in {escape(str(out))}" if out else "")]
-    for k, at in enumerate(run.equilibria[:ROWS]):
-        if at.solved:
-            tip = ", ".join(f"{1e3 * value + 0.0:.3f}" for value in at.tip.round(9))
-            tilt = math.degrees(at.tip_tilt)
-            text.append(f"row {k + 1}: tip ({tip}) mm, tilt {tilt:.2f}°, stiffness at least {at.smallest_eigenvalue:.4f} N/m")
+    rows = zip(summary["tip_m"], summary["tip_tilt_deg"], summary["smallest_stiffness_eigenvalue_N_per_m"], strict=True)
+    for k, (tip, tilt, stiffness) in enumerate(islice(rows, ROWS)):
+        if tip is not None:
+            place = ", ".join(f"{1e3 * round(value, 9) + 0.0:.3f}" for value in tip)
+            text.append(f"row {k + 1}: tip ({place}) mm, tilt {tilt:.2f}°, stiffness at least {stiffness:.4f} N/m")
     if more := sum(at.solved for at in run.equilibria[ROWS:]):
         text.append(f"… and {more} more rows: " + ("all are in shape.csv there" if out else "--out FOLDER writes all into files"))
     return text + unsolved_lines(summary)

@@ -26,7 +26,7 @@ def _label(effect: Mapping[str, Any]) -> str:
 
 def _gap(rmse: Mapping[str, float]) -> str:
     nominal, corrected, floor = (1e3 * rmse[name] for name in ("nominal", "corrected", "noise_floor"))
-    return f"on validation runs: {nominal:.3g} mm with the model as it was, {corrected:.3g} mm corrected (noise {floor:.3g} mm)"
+    return f"on validation runs: {nominal:.3g} mm nominal, {corrected:.3g} mm corrected (noise {floor:.3g} mm)"
 
 
 def update_model(
@@ -71,5 +71,5 @@ def update_model(
     lines = [f"[bold]{told['status'][-1]}[/]: {escape(named)}", _gap(told["rmse_m"])]
     for path, errors in told["tip_error_m"].items():
         before, after = (f"{1e3 * value:.3g} mm" if value is not None else "nothing seen" for value in errors.values())
-        lines.append(f"{escape(path)}: {before} rms with the model as it was, [bold]{after}[/] with the corrected one")
+        lines.append(f"{escape(path)}: {before} rms with the nominal model, [bold]{after}[/] with the corrected one")
     return report(told, [*lines, f"{escape(str(out / PAGE))}"], as_json, done.ok)

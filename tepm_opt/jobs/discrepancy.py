@@ -25,6 +25,7 @@ from tepm_opt.discrepancy.pipeline import discover, require_fit_runs
 from tepm_opt.discrepancy.problem.plant import SearchablePlant
 from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.problem.time_limit import TimeLimit
+from tepm_opt.discrepancy.reporting.effect_table import effect_table, sentences_beside_table
 from tepm_opt.discrepancy.setup.errors import mend_runs
 from tepm_opt.discrepancy.state import Discovery, Question
 from tepm_opt.discrepancy.symbolic.invent import Invention
@@ -264,7 +265,9 @@ def _time_limit(minutes: float | None) -> TimeLimit:
 
 def _write(result: Discovery, out: Path, warnings: Sequence[str], limit: TimeLimit, origin: Mapping[str, Any] | None = None) -> None:
     """Write `verdict.json`, with what it is about; kept fits go, unless there were others for which time was short."""
-    content = result.verdict.as_json() | dict(origin or {})
+    head, rows = effect_table(result.verdict)
+    said = [*result.verdict.setup_sentences, *sentences_beside_table(result.verdict, result.localisation.sentence)]
+    content = result.verdict.as_json() | {"table": [head, *rows] if rows else [], "answer": " ".join(said)} | dict(origin or {})
     if result.law is not None:
         content["law"] = as_json(result.law)
     content["notes"] += [f"data: {line}" for line in warnings]

@@ -93,14 +93,20 @@ class GainRun(Tabular):
         return {kind: (float(of_kind.min()), float(of_kind.max())) for kind, of_kind in values.items()}
 
     def summary(self) -> dict[str, Any]:
-        """Numbers of the run: per row the singular values in mm, condition and manipulability in m³, of each actuation."""
+        """Numbers of the run: `spans`, and per row the singular values in mm, condition and manipulability in m³ of each actuation."""
         kinds: tuple[Actuation, ...] = ("both", "pressure", "tension")
         rows = [gain and {kind: _measures(gain, kind) for kind in kinds} for gain in self.gains]
         summary = self.statics.summary()
         names = ("robot", "points", "solved", "interrupted", "unsolved")
         point = next((gain.point for gain in self.gains if gain), -1)
         label = self.statics.model.layout.point_names[point]
-        return {**{name: summary[name] for name in names}, "reference_point": label, "normalised": rows}
+        spans = {kind: list(span) for kind, span in self.spans().items()}
+        return {
+            **{name: summary[name] for name in names},
+            "reference_point": label,
+            "singular_values_m_per_range": spans,
+            "normalised": rows,
+        }
 
     def columns(self) -> dict[str, np.ndarray]:
         """The operating points as `StaticsRun` has them, with G in SI, row by row; NaN where there is none."""

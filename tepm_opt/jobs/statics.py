@@ -56,6 +56,7 @@ class StaticsRun(Tabular):
             "solved": sum(at.solved for at in self.equilibria),
             "interrupted": self.interrupted,
             "tip_m": [at.tip.tolist() if at.solved else None for at in self.equilibria],
+            "tip_tilt_deg": [float(np.degrees(at.tip_tilt)) if at.solved else None for at in self.equilibria],
             "smallest_stiffness_eigenvalue_N_per_m": [at.smallest_eigenvalue if at.solved else None for at in self.equilibria],
             "unsolved": _list_unsolved(self.equilibria),
         }

@@ -10,7 +10,8 @@ from tepm_opt.control.controllers import DEFAULT
 from tepm_opt.jobs.demo import NAMES, DemoRun
 from tepm_opt.models.model import Model
 from tepm_opt.report.charts import distance_chart, robot_chart
-from tepm_opt.report.template import Group, Row, digits, format_quantity, symbol, write
+from tepm_opt.report.template import Group, Row, symbol, write
+from tepm_opt.solvers.text import digits, format_quantity
 
 
 def write_page(path: str | Path, run: DemoRun, figures: Mapping[str, Path]) -> None:

@@ -7,9 +7,10 @@ from pathlib import Path
 
 from tepm_opt.discrepancy.assessment.residual_locations import Localisation
 from tepm_opt.discrepancy.assessment.result import Errors, Verdict, VerdictStatus
-from tepm_opt.discrepancy.reporting.effect_table import HEAD, effect_rows, sentences_beside_table
+from tepm_opt.discrepancy.reporting.effect_table import effect_table, sentences_beside_table
 from tepm_opt.report.charts import Chart
-from tepm_opt.report.template import Group, Row, digits, percent, write
+from tepm_opt.report.template import Group, Row, write
+from tepm_opt.solvers.text import digits, percent
 
 HEADINGS = {
     VerdictStatus.NAMED: "The missing effect is named",
@@ -21,11 +22,11 @@ HEADINGS = {
 }
 SEVERAL = {VerdictStatus.NAMED: "The missing effects are named", VerdictStatus.PARTIAL: "Known effects explain a part"}
 MODELS = {
-    "nominal": "model as it was",
+    "nominal": "nominal",
     "recalibrated": "recalibrated",
     "corrected": "corrected",
-    "black_box": "black box without physics",
-    "noise_floor": "noise alone",
+    "black_box": "black box",
+    "noise_floor": "noise floor",
 }
 RIVALS = 15  # listed on the page
 
@@ -51,12 +52,13 @@ def write_discrepancy_page(
     Raises:
         InputError: the folder cannot be written to.
     """
+    head, rows = effect_table(verdict)
     write(
         path, "discrepancy.html", figures, charts,
         verdict=verdict,
-        head=HEAD,
-        rows=effect_rows(verdict.effects),
-        sentences=sentences_beside_table(verdict),
+        head=head,
+        rows=rows,
+        sentences=sentences_beside_table(verdict, localisation.sentence),
         groups=[_errors(verdict)],
         status=verdict.status.value,
         heading=summarise_verdict(verdict.status, len(verdict.effects)),

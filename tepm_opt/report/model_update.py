@@ -7,7 +7,8 @@ from pathlib import Path
 from tepm_opt.discrepancy.assessment.result import VerdictStatus
 from tepm_opt.jobs.model_update import ModelUpdate
 from tepm_opt.report.discrepancy import error_rows, summarise_verdict
-from tepm_opt.report.template import Group, Row, digits, write
+from tepm_opt.report.template import Group, Row, write
+from tepm_opt.solvers.text import digits
 
 
 def write_model_update_page(path: str | Path, done: ModelUpdate) -> None:
@@ -26,7 +27,7 @@ def write_model_update_page(path: str | Path, done: ModelUpdate) -> None:
         for name, errors in summary["tip_error_m"].items()
     ]
     groups = [
-        Group("Tip error on a path, rms", ["model as it was", "corrected model"], tracking),
+        Group("Tip error on a path, rms", ["nominal model", "corrected model"], tracking),
         Group("Error on runs that were not used, rms", ["error"], error_rows(summary["rmse_m"], "m")),
     ]
     status = VerdictStatus(last["status"])
@@ -36,5 +37,6 @@ def write_model_update_page(path: str | Path, done: ModelUpdate) -> None:
         groups=groups,
         status=status.value,
         heading=summarise_verdict(status, len(last["effects"])),
-        paragraph=last["paragraph"],
+        table=last.get("table", ()),
+        answer=last.get("answer", last["paragraph"]),
     )  # fmt: skip

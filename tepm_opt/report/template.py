@@ -10,13 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
-import numpy as np
 
 from tepm_opt.data.files import write_atomically
 from tepm_opt.discrepancy.assessment.result import Value
 from tepm_opt.plots.figure import STYLE
 from tepm_opt.report.charts import Chart
-from tepm_opt.solvers.text import percent, with_deviation
+from tepm_opt.solvers.text import format_quantity, percent, with_deviation
 
 CSS_PIXELS = 96  # an inch of a page
 NONE = ("", "1", "-")  # units of pure numbers
@@ -99,20 +98,6 @@ def write(
     images = {name: Picture.from_figure(figure) for name, figure in (figures or {}).items() if name not in drawn}
     page = environment.get_template(template).render(images=images, charts=drawn, version=version("tepm-opt"), **values)
     write_atomically(path, page)
-
-
-def digits(value: float | None, factor: float = 1.0, form: str = "#.3g") -> str:
-    """A value with three digits and more where it is 1000 and larger, times a factor; a dash where there is none."""
-    if value is None or not np.isfinite(value):
-        return "–"
-    whole = abs(factor * value) >= 999.5 and form == "#.3g"
-    return format(factor * value, ".0f" if whole else form).rstrip(".")
-
-
-def format_quantity(value: float, unit: str) -> str:
-    """A value with three digits and its unit, lengths in mm; a dash where there is none."""
-    text, shown = (digits(value, 1e3), "mm") if unit == "m" else (digits(value), unit)
-    return text if text == "–" else f"{text} {shown}"
 
 
 def with_unit(text: str, unit: str) -> str:

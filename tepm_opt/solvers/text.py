@@ -20,6 +20,20 @@ def quantity(value: float, unit: str) -> str:
     return f"{1e3 * value:.1f} mm" if value >= 1e-3 else f"{1e3 * value:.2g} mm"
 
 
+def digits(value: float | None, factor: float = 1.0, form: str = "#.3g") -> str:
+    """A value with three digits and more where it is 1000 and larger, times a factor; a dash where there is none."""
+    if value is None or not np.isfinite(value):
+        return "–"
+    whole = abs(factor * value) >= 999.5 and form == "#.3g"
+    return format(factor * value, ".0f" if whole else form).rstrip(".")
+
+
+def format_quantity(value: float, unit: str) -> str:
+    """A value with three digits and its unit, lengths in mm; a dash where there is none."""
+    text, shown = (digits(value, 1e3), "mm") if unit == "m" else (digits(value), unit)
+    return text if text == "–" else f"{text} {shown}"
+
+
 def with_deviation(value: float, std: float) -> str:
     """A value and its standard deviation, as many digits of the one as the other knows: "9.9974 ± 0.0037"; alone where that is none."""
     if not (np.isfinite(std) and std > 0):

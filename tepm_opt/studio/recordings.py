@@ -186,14 +186,14 @@ def _of_verdict(folder: Path, model: Model | None) -> Recordings:
     nominal = model or (read_model(folder / known) if known else Model.from_robot(dataset.robot))
     later = (replace(run, file=f"{Path(each).name}/{run.file}") for each, more in zip(data[1:], added, strict=True) for run in more.runs)
     runs = (*dataset.validation, *dataset.fit, *later)
-    return Recordings(dataset.name, runs, {"as known": nominal, "corrected": read_model(file)}, dataset.static, _words(content))
+    return Recordings(dataset.name, runs, {"nominal": nominal, "corrected": read_model(file)}, dataset.static, _words(content))
 
 
 def _words(content: Mapping[str, Any]) -> str:
     """A verdict as Markdown, without pictures: the page would open what they name."""
-    effects = [
-        f"{effect.get('name', '?')}{' ' + str(effect['detail']) if effect.get('detail') else ''} ({effect.get('probability') or 0:.2f})"
-        for effect in content.get("effects", ())
-    ]
-    head = f"**{str(content.get('status', '?')).replace('_', ' ')}**" + (f": {', '.join(effects)}" if effects else "")
-    return "\n\n".join([head, str(content.get("paragraph", ""))]).strip().replace("![", "[")
+    status = f"**{str(content.get('status', '?')).replace('_', ' ')}**"
+    rows = [list(map(str, row))[:-1] for row in content.get("table", ())]  # the panel is too narrow for the share of the gap
+    lines = [f"| {' | '.join(row)} |" for row in rows]
+    table = "\n".join([lines[0], "|" + " --- |" * len(rows[0]), *lines[1:]]) if rows else ""
+    said = str(content.get("answer", content.get("paragraph", "")))  # verdicts until version 0.2 have a paragraph alone
+    return "\n\n".join(part for part in (status, table, said) if part).replace("![", "[")

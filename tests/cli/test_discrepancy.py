@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -159,6 +160,12 @@ class TestDiscrepancy:
         verdict = done.json()
         assert verdict == json.loads((here / "out" / "verdict.json").read_text())
         assert [(effect["name"], effect["detail"]) for effect in verdict["effects"]] == [("sensor_offset", "s3")]
+        head, row, *_ = verdict["table"]
+        assert dict(zip(head, row, strict=True))["effect"] == "sensor_offset"
+        page = (here / "out" / "report.html").read_text()
+        assert all(f">{escape(cell)}<" in page for line in verdict["table"] for cell in line[1:])
+        assert escape(verdict["answer"]) in page
+        assert verdict["answer"] in verdict["paragraph"]
         assert names_in(here / "out") == {"verdict.json", "model.toml", "report.html", "evidence.png", *FIGURES}
         assert "sensor_offset" in (here / "out" / "report.html").read_text()
         assert tepm("statics", "--model", "out/model.toml", "--out", "still").status == 0

@@ -43,6 +43,9 @@ def test_against_differences_of_statics(tepm: Command, here: Path, solved_circle
 def test_summary_agrees_with_the_table(solved_circle: Path) -> None:
     told, gains = summary(solved_circle, "gain"), values(solved_circle / "gain.csv")
     assert (told["points"], told["solved"], told["reference_point"]) == (32, 32, "s4")
+    for kind, columns in (("pressure", slice(0, 6)), ("tension", slice(6, 12))):
+        sigma = [np.linalg.svd(row.reshape(3, 12)[:, columns] * RANGE[columns], compute_uv=False) for row in gains]
+        assert told["singular_values_m_per_range"][kind] == pytest.approx([np.min(sigma), np.max(sigma)], rel=1e-6)
     for row, numbers in zip(gains, told["normalised"], strict=True):
         scaled = row.reshape(3, 12) * RANGE
         for kind, columns in (("both", slice(None)), ("pressure", slice(0, 6)), ("tension", slice(6, 12))):

@@ -139,6 +139,7 @@ class TestDemo:
         for name, loop in summary(here / "out", "closed_loop").items():
             error = f"{1e3 * loop['errors']['true']['rms_m']:#.3g}".rstrip(".") + " mm"
             assert (f"within {error} rms" if name == "MPC" else f"{error} in {name}") in words
+            assert f"{name} {1e3 * loop['errors']['true']['rms_m']:.3g}" in done.out.splitlines()[0]
         assert f"{1e3 * told['largest_rounded_tip_error_m']:#.3g} mm" in words
         assert "358.86" in words
 

@@ -123,3 +123,11 @@ def test_no_stable_equilibrium_is_explained(tepm: Command, here: Path) -> None:
     assert told["tip_m"] == [None]
     (entry,) = told["unsolved"]
     assert (entry["point"], entry["status"]) == (0, "unstable")
+
+
+def test_line_and_json_tell_the_same(tepm: Command) -> None:
+    told = tepm("statics", "--tip-force", "2.5,0,0", "--json").json()
+    tip = ", ".join(f"{1e3 * value:.3f}" for value in told["tip_m"][0])
+    (tilt,), (stiffness,) = told["tip_tilt_deg"], told["smallest_stiffness_eigenvalue_N_per_m"]
+    assert tilt == pytest.approx(63.2, abs=0.1), "the paper has about 65 degrees"
+    assert f"tip ({tip}) mm, tilt {tilt:.2f}°, stiffness at least {stiffness:.4f} N/m" in tepm("statics", "--tip-force", "2.5,0,0").out

@@ -15,6 +15,7 @@ from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.adapters.network import candidate
 from tepm_opt.discrepancy.assessment.residual_locations import Localisation
 from tepm_opt.discrepancy.assessment.result import Errors, Named, Place, Rival, Value, Verdict, VerdictStatus
+from tepm_opt.discrepancy.reporting.effect_table import HEAD, describe_sizes, effect_table, sentences_beside_table
 from tepm_opt.models.model import Model
 from tepm_opt.plots import save
 from tepm_opt.plots.discrepancy import evidence_figure, gap_figure, heat_figure, over_time_figure, points_figure, tip_figure
@@ -81,15 +82,17 @@ def test_key_facts(tmp_path: Path) -> None:
     words = Page(written(tmp_path)).words
     facts = (
         "The missing effect is named", VERDICT.sentences[1], LOCALISATION.sentence,
-        "effectwheresizeprobabilityshare of the gap", "actuator_gain", "actuator 13", "loss 12.03 ± 0.07 %", "1.00",
+        "effectwheresize ± stdprobabilitygap only it closes", "actuator_gain", "actuator 13", "loss 12.03 ± 0.07 %", "1.00",
         "steps <1>.csv", "8.10 mm", "62 %", "0.001",
         "actuator_gain[13]", "actuator 13", "loss", "0.1203 ± 0.0007", "> 99 %", "94 %",
         "pressure_crosstalk", "closes 55 % <less> than half the rest", "sensor_offset[s4]",
-        "noise alonemm0.520", "model as it wasmm5.20", "recalibratedmm4.10", "correctedmm0.550", "black box without physicsmm0.800",
+        "noise floormm0.520", "nominalmm5.20", "recalibratedmm4.10", "correctedmm0.550", "black boxmm0.800",
         "K_a", "358.86 N/m", "364.2 ± 0.8 N/m", "+1.49 %", "2.4 N s/m", "alpha_210.98 ± 0.002 −2.00 %",
         *VERDICT.notes, "--model model.toml", "bench <b>bold</b>", "kang2017", "83 s",
     )  # fmt: skip
     assert not [fact for fact in facts if fact not in words]
+    places = [words.index(text) for text in ("gap only it closes", VERDICT.sentences[1], "noise floormm", LOCALISATION.sentence)]
+    assert places == sorted(places), "the answer first, then its reasons"
     assert "timelate" not in words.replace(" ", ""), "places that do not stand out are left out"
 
 
@@ -209,3 +212,32 @@ def test_figures_of_numbers(tmp_path: Path) -> None:
     assert figures[3].axes[0].get_xscale() == "linear"
     assert "black box" not in [tick.get_text() for tick in figures[2].axes[0].get_yticklabels()]
     assert [tick.get_text() for tick in figures[5].axes[0].get_yticklabels()] == ["actuator_gain[13]", "creep", "payload"]
+
+
+def test_the_table_says_where_only_if_an_effect_acts_somewhere() -> None:
+    load = Named(candidate("payload"), 1.0, {"mass": Value(0.02, 1e-4, "kg", 0.0)}, 0.27)
+    weak = Named(candidate("actuator_gain", "13"), 0.9, {"loss": Value(0.1, 0.01, "1", 0.0)}, 0.5)
+    verdict = replace(VERDICT, effects=(load,))
+    assert effect_table(verdict) == (
+        ("effect", "size ± std", "probability", "gap only it closes"), [("payload", "mass 20 ± 0.1 g", "1.00", "27 %")],
+    )  # fmt: skip
+    head, rows = effect_table(replace(verdict, effects=(load, weak)))
+    assert head == HEAD
+    assert [row[1] for row in rows] == ["–", "actuator 13"]
+
+
+def test_beside_the_table_stand_the_errors_alone() -> None:
+    """The table has the first sentence, the section on places their own; where effects stand for each other the first one tells it."""
+    verdict = replace(VERDICT, sentences=("Missing: x.", "The error falls.", "It misses at s4."))
+    assert sentences_beside_table(verdict, "It misses at s4.") == ("The error falls.",)
+    alike = replace(verdict, status=VerdictStatus.INDISTINGUISHABLE)
+    assert sentences_beside_table(alike, "It misses at s4.") == ("Missing: x.", "The error falls.")
+    nothing = replace(verdict, effects=(), status=VerdictStatus.NO_DISCREPANCY, sentences=("Nothing is missing.", "The error falls."))
+    assert sentences_beside_table(nothing, "") == nothing.sentences
+
+
+def test_many_sizes_that_are_not_told_from_null_stay_short() -> None:
+    """Else one cell makes the whole table wider than a terminal."""
+    values = {f"gain_{k}": Value(0.001, 0.01, "1", 0.0) for k in range(9)}
+    (cell,) = describe_sizes(Named(candidate("actuator_scatter"), 0.8, values, 0.01))
+    assert cell == "gain 0, gain 1 and 7 more not significantly different from 0"

@@ -21,7 +21,7 @@ from tepm_opt.hw.board.rig import SerialRig
 from tepm_opt.hw.service.line import Line
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.models.robot import load_robot
-from tests.docs.texts import ROOT, Step, steps
+from tests.docs.texts import ROOT, Step, answers, steps
 from tests.hw.conftest import *  # noqa: F403  its fixtures
 from tests.hw.emulator import Board
 from tests.hw.emulator.world import World
@@ -37,6 +37,9 @@ FROM_VERDICT = ("found", "corrected")
 """Folders that there are only after a long command."""
 OWN_TABLE = "log.csv"
 """The reader's own recording in the README."""
+CHOOSE = ROOT / "docs" / "how-to" / "choose.md"
+NO_DATA = ("tepm discrepancy after", "tepm discrepancy data", "tepm data next")
+"""Questions about data sets or a verdict that the page's other commands do not leave behind."""
 FEWEST = {"README.md": 4, "docs/tutorial.md": 6, "docs/reference/commands.md": 25}
 """Commands of each document that run at least."""
 
@@ -103,6 +106,16 @@ def test_commands_in_order(name: str, long: bool, environment: dict[str, str], t
         assert status == 0, out
         shutil.copy(recorded / "circle.csv", folder / OWN_TABLE)
     assert follow(ROOT / name, folder, environment, long) >= FEWEST[name]
+
+
+@pytest.mark.slow
+def test_commands_that_answer_questions(environment: dict[str, str], tmp_path: Path) -> None:
+    """Those of `choose.md` in order, in one folder, but for those that take minutes, need a board or data of the reader's own."""
+    page = [step for step in answers(CHOOSE) if not step.text.startswith((*LONG, *NO_DATA, "tepm hw")) and "serial:" not in step.text]
+    assert len(page) > 15
+    for step in page:
+        status, out, _ = followed(step, tmp_path, environment)
+        assert status == ("--radius" in step.text), f"{step.text}\n{out}"
 
 
 @pytest.mark.slow

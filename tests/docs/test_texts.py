@@ -15,7 +15,7 @@ import pytest
 import typer.main
 
 from tepm_opt.cli.program import app
-from tests.docs.texts import DOCUMENTS, ROOT, steps
+from tests.docs.texts import DOCUMENTS, ROOT, answers, steps
 
 PROGRAM = typer.main.get_command(app)
 
@@ -37,6 +37,13 @@ def test_commands_and_options_exist() -> None:
     found = [(path.name, step.text, problem(step.words)) for path in DOCUMENTS for step in steps(path) if step.words]
     assert len(found) > 50
     assert [each for each in found if each[2]] == []
+
+
+def test_every_question_has_a_command() -> None:
+    page = ROOT / "docs" / "how-to" / "choose.md"
+    found = answers(page)
+    assert len(found) == page.read_text(encoding="utf-8").count("\n- **") > 20
+    assert [(step.text, wrong) for step in found if (wrong := problem(step.words))] == []
 
 
 def test_a_wrong_command_would_be_seen() -> None:

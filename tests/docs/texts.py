@@ -36,6 +36,12 @@ def steps(document: Path) -> list[Step]:
     return [step for block in BLOCK.findall(document.read_text(encoding="utf-8")) for step in _of_block(block)]
 
 
+def answers(page: Path) -> list[Step]:
+    """Commands that answer the questions in bold of a page, in order."""
+    text = " ".join(page.read_text(encoding="utf-8").split())
+    return [Step(command) for command in re.findall(r"\?\*\* `(tepm [^`]+)`", text)]
+
+
 def _of_block(block: str) -> Iterator[Step]:
     lines = iter(block.splitlines())
     for line in lines:

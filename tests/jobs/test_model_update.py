@@ -37,6 +37,7 @@ class Parts:
         out.mkdir()
         effects = [{"name": "payload", "detail": None, "probability": 0.99, "parameters": {}}]
         content = {"status": self.statuses.pop(0), "effects": effects, "rmse_m": ERRORS, "paragraph": "It carries something."}
+        content["table"] = [["effect", "size ± std", "probability", "gap only it closes"], ["payload", "mass 20 ± 1 g", "0.99", "94 %"]]
         (out / "verdict.json").write_text(json.dumps(content))
         write_model(MODEL.with_effect("payload", mass=0.05), out / "model.toml")
 

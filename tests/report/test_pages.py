@@ -99,6 +99,7 @@ def discrepancy_page(folder: Path, model: CompiledModel) -> Path:
 def closing_page(folder: Path, model: CompiledModel) -> Path:
     effects = [{"name": "an_effect", "detail": "13", "probability": 0.99, "parameters": {}}]
     verdict = {"status": "named", "effects": effects, "rmse_m": ERRORS, "paragraph": "It carries something & more."}
+    verdict |= {"table": [["effect", "size ± std", "probability", "gap only it closes"], ["an_effect", "loss 10 ± 1 %", "0.99", "94 %"]]}
     of = {name: {"errors": {"true": {"rms_m": rms}, "tracked": None}} for name, rms in (("nominal", 2e-3), ("corrected", 1e-3))}
     write_model_update_page(folder / "closed.html", ModelUpdate(folder, "kang2017", "sim", (verdict,), {"circle": of}))
     return folder / "closed.html"

@@ -22,7 +22,9 @@ HEAVY = KNOWN.with_effect("payload", None, mass=0.03)
 VERDICT = {
     "status": "named",
     "effects": [{"name": "payload", "detail": None, "probability": 0.998, "parameters": {}}],
-    "paragraph": "The arm carries more than the model: ![no](picture.png).",
+    "paragraph": "Missing: payload.",
+    "table": [["effect", "size ± std", "probability", "gap only it closes"], ["payload", "mass 30 ± 1 g", "1.00", "100 %"]],
+    "answer": "The arm carries more than the model: ![no](picture.png).",
     "data": ["../bench"],
     "model": None,
 }

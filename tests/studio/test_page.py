@@ -135,12 +135,12 @@ def test_the_film(studio: Studio) -> None:
     moved(view._time, 1.0)
     assert studio.settle()
     lengths = {}
-    for model in ("as known", "corrected"):
+    for model in ("nominal", "corrected"):
         moved(view._model, model)
         assert studio.settle()
         points = view._arrows.points
         lengths[model] = np.linalg.norm(points[:, 1] - points[:, 0], axis=1).max()
-    assert lengths["corrected"] < 0.002 < lengths["as known"]
+    assert lengths["corrected"] < 0.002 < lengths["nominal"]
     moved(view._speed, "10")
     pressed(view._button)
     assert waited(lambda: view._time.value == view._time.max and view._button.label == "play")

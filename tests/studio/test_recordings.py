@@ -74,10 +74,18 @@ def test_a_verdict(tmp_path: Path) -> None:
     """Validation runs first, beside the model as it was known and as it was corrected; words as they are, pictures none."""
     found = open_recordings(write(tmp_path))
     assert [run.file for run in found.runs] == ["other.csv", "bend.csv"]
-    assert found.models == {"as known": KNOWN, "corrected": replace(HEAVY, source=KNOWN.source)}
-    assert "**named**: payload (1.00)" in found.verdict
-    assert "carries more" in found.verdict
+    assert found.models == {"nominal": KNOWN, "corrected": replace(HEAVY, source=KNOWN.source)}
+    table = "| effect | size ± std | probability |\n| --- | --- | --- |\n| payload | mass 30 ± 1 g | 1.00 |"
+    assert found.verdict.startswith(f"**named**\n\n{table}\n\nThe arm carries more")
     assert "![" not in found.verdict
+
+
+def test_a_verdict_of_an_earlier_version(tmp_path: Path) -> None:
+    """It has no table: its paragraph is shown."""
+    found = write(tmp_path)
+    older = {name: value for name, value in VERDICT.items() if name not in ("table", "answer")}
+    (found / "verdict.json").write_text(json.dumps(older), encoding="utf-8")
+    assert open_recordings(found).verdict == "**named**\n\nMissing: payload."
 
 
 def test_data_that_were_added(tmp_path: Path) -> None:

@@ -149,8 +149,8 @@ class Verdict(Tabular):
 
     Attributes:
         status: kind of answer.
-        sentences: the answer in words: what is missing (the table of `answer.effect_rows` with more than one effect), where the model
-            misses, how the errors fall.
+        sentences: the answer in words: the missing effects (a table by `effect_table.effect_table`), how the errors fall, where the model
+            misses.
         next: what to do now, in words, and `command`, which does it, where it is known what was asked.
         effects: named ones; with `INDISTINGUISHABLE` the rivals; with `UNEXPLAINED` those that are sure nevertheless.
         rivals: considered and rejected, most probable first.

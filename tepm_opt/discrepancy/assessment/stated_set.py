@@ -52,4 +52,4 @@ def describe_stated_set(scores: CauseScores, thresholds: AssessmentSettings = DE
     """Sentence with the causes that are not ruled out."""
     stated = [label for label, score in scores if score >= thresholds.min_stated]
     what = f"only {stated[0]}" if len(stated) == 1 else ", ".join(stated) or "no effect of the library"
-    return f"Not ruled out: {what}. It holds all that acts in 95 % of blind trials with clear effects of the library."
+    return f"Not ruled out: {what}. This list held every acting effect in 95 % of blind trials with clear effects."

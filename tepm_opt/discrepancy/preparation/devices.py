@@ -91,8 +91,8 @@ def _restrict_candidates(
         shown, values, after = (known, late), values | dict.fromkeys(delay.parameters, best.delay), f" after {best.delay:.3f} s"
     stairs = f", on a grid of {best.grid:g} Pa" if best.grid else ""
     note = (
-        f"gauges show regulators that lag by {best.times[0]:.3g} s filling and {best.times[1]:.3g} s exhausting{after}{stairs}; "
-        "commands are taken as they take them"
+        f"Pressure gauges show regulators that lag by {best.times[0]:.3g} s filling and {best.times[1]:.3g} s exhausting{after}{stairs}; "
+        "the model follows them"
     )
     return IdentifiedDevices(runs, shown, values, late, note)
 

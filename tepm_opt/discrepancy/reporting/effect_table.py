@@ -1,4 +1,7 @@
-"""Table of the answer: for each effect its place, size, probability, and the share of the gap that only it closes."""
+"""Table of the answer: for each effect its place, size, probability, and the share of the gap that only it closes.
+
+Terminal and page begin with it, then the errors in one sentence; places where the model misses come later.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +10,20 @@ from collections.abc import Sequence
 import numpy as np
 
 from tepm_opt.discrepancy.assessment.result import Named, Verdict, VerdictStatus
-from tepm_opt.solvers.text import percent, with_deviation
+from tepm_opt.solvers.text import format_names, percent, with_deviation
 
-HEAD = ("effect", "where", "size", "probability", "share of the gap")
+HEAD = ("effect", "where", "size ± std", "probability", "gap only it closes")
+WHERE = HEAD.index("where")
+EVERYWHERE = "–"
+
+
+def effect_table(verdict: Verdict) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Head and rows of the table of a verdict's effects; without the column `where` if all of them act everywhere and always."""
+    rows = effect_rows(verdict.effects)
+    if any(row[WHERE] not in ("", EVERYWHERE) for row in rows):
+        return HEAD, rows
+    head, *rows = [(*row[:WHERE], *row[WHERE + 1 :]) for row in (HEAD, *rows)]
+    return head, rows
 
 
 def effect_rows(effects: Sequence[Named]) -> list[tuple[str, ...]]:
@@ -26,17 +40,22 @@ def effect_rows(effects: Sequence[Named]) -> list[tuple[str, ...]]:
     return rows
 
 
-def sentences_beside_table(verdict: Verdict) -> tuple[str, ...]:
-    """Sentences of a verdict that its table does not replace; with `INDISTINGUISHABLE` which effects stand for each other."""
+def sentences_beside_table(verdict: Verdict, places: str) -> tuple[str, ...]:
+    """Sentences of a verdict that its table does not replace; with `INDISTINGUISHABLE` which effects stand for each other.
+
+    Args:
+        verdict: the answer.
+        places: sentence about where the model misses, which is left out.
+    """
     told = bool(verdict.effects) and verdict.status is not VerdictStatus.INDISTINGUISHABLE
-    return verdict.sentences[1:] if told else verdict.sentences
+    return tuple(sentence for sentence in verdict.sentences[told:] if sentence != places)
 
 
 def describe_place(effect: Named) -> str:
     """The part and the runs in which an effect acts; a dash where that is everywhere and always."""
     candidate = effect.candidate
     parts = [f"{candidate.part or ''} {candidate.detail}".strip()] if candidate.detail else []
-    return ", ".join([*parts, *(["only in " + ", ".join(effect.runs)] if effect.runs else [])]) or "–"
+    return ", ".join([*parts, *(["only in " + ", ".join(effect.runs)] if effect.runs else [])]) or EVERYWHERE
 
 
 def describe_sizes(effect: Named) -> list[str]:
@@ -59,7 +78,8 @@ def describe_sizes(effect: Named) -> list[str]:
         parts.append(f"{name.replace('_', ' ')} {with_deviation(factor * value.value, factor * value.std)} {unit}")
     if together:
         return [*parts, "known only together"]
-    return parts + [f"{' and '.join(names)} not significantly different from {nominal}" for nominal, names in null.items()]
+    some = {at: " and ".join(names) if len(names) < 3 else format_names(names, 3) for at, names in null.items()}
+    return parts + [f"{names} not significantly different from {nominal}" for nominal, names in some.items()]
 
 
 def with_unit(value: float, unit: str) -> str:

@@ -19,6 +19,7 @@ from tepm_opt.discrepancy.selection.fitting import Hypothesis
 from tepm_opt.discrepancy.selection.forward_backward import Explanation
 from tepm_opt.discrepancy.selection.screening import Score
 from tepm_opt.solvers.identify import ParameterEstimate
+from tepm_opt.solvers.text import format_quantity, percent
 from tepm_opt.solvers.uncertainty import unidentifiable
 
 ONE_CLOCK = "put inputs and positions on one clock"
@@ -46,7 +47,7 @@ def describe_answer(
     status: VerdictStatus, named: Sequence[Named], errors: Errors, where: str, known: Mapping[str, Value], explanation: Explanation,
     unit: str,
 ) -> tuple[str, ...]:  # fmt: skip
-    """Sentences of the answer: missing effects, places where the model misses, fall of the errors.
+    """Sentences of the answer: missing effects, fall of the errors, places where the model misses.
 
     Args:
         status: kind of answer.
@@ -58,7 +59,7 @@ def describe_answer(
         unit: of the errors.
     """
     nominal, recalibrated, corrected, bound, floor = (
-        _format_error(error, unit)
+        format_quantity(error, unit)
         for error in (errors.nominal, errors.recalibrated, errors.corrected, errors.black_box, errors.noise_floor)
     )
     falls = f"On validation runs the error falls from {nominal} (nominal) over {recalibrated} (recalibrated) to {corrected}"
@@ -72,24 +73,23 @@ def describe_answer(
         head = "Missing" if status is VerdictStatus.NAMED else "Partly explained"
         return (
             f"{head}: {_describe_effects(named)}.",
+            f"{falls} (corrected; noise {floor}): {percent(errors.gap_closed_fraction)} of the gap is closed.",
             where,
-            f"{falls} with {'it' if len(named) == 1 else 'them'} in the model (noise {floor}), "
-            f"which closes {100 * errors.gap_closed_fraction:.0f} % of the gap.",
         )
     if status is VerdictStatus.INDISTINGUISHABLE:
         return (
             f"{_describe_groups(named, explanation)}.",
-            where,
             f"{falls} with the most probable in the model (noise {floor}).",
+            where,
         )
     alone = [h for h in explanation.tried if len(h.effects) == 1]
     best = max([h for h in alone if not h.estimate.out_of_reach] or alone, key=explanation.closes, default=None)
     nearest = f"; {best.effects[0].label} alone would close {_percent(explanation.closes(best))}" if best else ""
     return (
         f"Unexplained: structure above the noise remains that no known effect explains{nearest}.",
-        where,
         f"On validation runs the error is {nominal} (nominal) and {recalibrated} (recalibrated); "
         f"a black box without physics reaches {bound} (noise {floor}).",
+        where,
     )
 
 
@@ -122,7 +122,7 @@ def collect_notes(
     left, axes = explanation.best.excess, axes_measured(np.concatenate([run.points for run in dataset.fit]))
     if explanation.best.effects and left > 0.1 and not explanation.settings.chance_excess:
         found.append(
-            f"Structure of {_format_error(float(np.sqrt(axes * left) * alike), unit)} is left in the runs fitted to: "
+            f"Structure of {format_quantity(float(np.sqrt(axes * left) * alike), unit)} is left in the runs fitted to: "
             "the effect's form differs from the machine's, or something small is missing besides. It keeps probabilities below 1."
         )
     found += [f"{text}." for text in unidentifiable(best)]
@@ -177,7 +177,7 @@ def describe_repeatability(runs: Sequence[Run], noise: float | np.ndarray, unit:
             if not np.isfinite(differ):  # nothing that both of them measured
                 continue
             alone = float(np.sqrt(axes_measured(one.points)) * (1.0 if np.ndim(noise) else noise))
-            each, noise_alone = _format_error(differ, unit), _format_error(alone, unit)
+            each, noise_alone = format_quantity(differ, unit), format_quantity(alone, unit)
             found.append(f"{one.file} and {other.file} repeat the same inputs: {each} each (noise alone: {noise_alone}).")
     return found
 
@@ -279,12 +279,6 @@ def _describe_groups(named: Sequence[Named], explanation: Explanation) -> str:
 def _describe_changes(known: Mapping[str, Value]) -> str:
     moved = [f"{name} {100 * (v.value / v.nominal - 1):+.1f} %" for name, v in known.items() if v.nominal]
     return ", ".join(moved) or "none is free"
-
-
-def _format_error(value: float, unit: str) -> str:
-    if unit == "m" and value < 1e-4:
-        return f"{1e3 * value:.2g} mm"
-    return f"{1e3 * value:.2f} mm" if unit == "m" else f"{value:.3g} {unit}".strip()
 
 
 def _percent(part: float) -> str:
