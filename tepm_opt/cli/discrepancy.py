@@ -54,7 +54,7 @@ def discrepancy(
     from tepm_opt.discrepancy.reporting.effect_table import HEAD, effect_rows, sentences_beside_table
     from tepm_opt.discrepancy.symbolic.page import paragraph
     from tepm_opt.jobs.discrepancy import EFFECTS, MODEL, VALUES, VERDICT
-    from tepm_opt.solvers.text import align_columns
+    from tepm_opt.solvers.numerics.text import align_columns
 
     try:
         with show_progress(as_json, told=True) as progress:

@@ -29,7 +29,7 @@ from tepm_opt.discrepancy.stages import STAGES, other_store, prepare, recalibrat
 from tepm_opt.discrepancy.state import Discovery, Question
 from tepm_opt.errors import InputError
 from tepm_opt.progress import Progress, silent
-from tepm_opt.solvers.plant import PredictionError
+from tepm_opt.solvers.mechanics.plant import PredictionError
 
 
 def learn_baseline(question: Question) -> Baseline:

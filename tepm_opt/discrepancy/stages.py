@@ -42,9 +42,9 @@ from tepm_opt.discrepancy.selection.forward_backward import explain
 from tepm_opt.discrepancy.selection.linearised import linearise
 from tepm_opt.discrepancy.setup.check import find_setup_errors
 from tepm_opt.discrepancy.state import Assessed, Discovery, Prepared, Question, Recalibrated, Screened, Selected, Validated
-from tepm_opt.solvers.identify import Problem, identify
-from tepm_opt.solvers.residuals import independent_after
-from tepm_opt.solvers.start import with_estimated_initial_state
+from tepm_opt.solvers.identification.identify import Problem, identify
+from tepm_opt.solvers.identification.initial_state import with_estimated_initial_state
+from tepm_opt.solvers.identification.residuals import independent_after
 
 
 def check_setup(state: Question) -> Question:

@@ -39,7 +39,7 @@ from tepm_opt.models.channels import channels_of, read
 from tepm_opt.models.effect_files import loaded_effects, loaded_files
 from tepm_opt.models.model import Model, read_model, write_model
 from tepm_opt.progress import Progress, silent
-from tepm_opt.solvers.plant import PredictionError
+from tepm_opt.solvers.mechanics.plant import PredictionError
 
 VERDICT, FITS, EFFECTS = "verdict.json", ".fits.json", "effects"
 

@@ -24,7 +24,7 @@ from tepm_opt.models.compile import compile_model
 from tepm_opt.models.model import Model, read_model, write_model
 from tepm_opt.progress import Progress, silent
 from tepm_opt.recording.plan import RecordingPlan, read_plan
-from tepm_opt.solvers.trajectories import Trajectory
+from tepm_opt.solvers.planning.trajectories import Trajectory
 
 JOB, DATA, FOUND, NEXT, SUMMARY = "close", "data", "found", "next", "summary.json"
 KNOWN = "known.toml"

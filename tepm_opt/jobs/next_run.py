@@ -33,10 +33,10 @@ from tepm_opt.recording.plan import PlannedRun
 from tepm_opt.recording.probing import draw_pattern, random_run, vary_pattern
 from tepm_opt.recording.reach import Reach, reach_of, unbearable
 from tepm_opt.recording.standard import PlannedPattern, plan_text
-from tepm_opt.solvers.identify import ParameterEstimate, Problem
-from tepm_opt.solvers.network_plant import NetworkPlant
-from tepm_opt.solvers.plant import PredictionError
-from tepm_opt.solvers.predict import LONGEST_STEP
+from tepm_opt.solvers.identification.identify import ParameterEstimate, Problem
+from tepm_opt.solvers.mechanics.network_plant import NetworkPlant
+from tepm_opt.solvers.mechanics.plant import PredictionError
+from tepm_opt.solvers.mechanics.predict import LONGEST_STEP
 
 DRAWS, ROUNDS, KEPT, NEAR = 20, 2, 2, 4
 """Runs that are drawn; rounds of variation after them, the best runs that are varied in each, and how often."""

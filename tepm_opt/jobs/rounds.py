@@ -22,7 +22,7 @@ from tepm_opt.jobs.output import save_summary
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Outcome
 from tepm_opt.progress import Progress, silent
-from tepm_opt.solvers.kinematics import IkSettings
+from tepm_opt.solvers.kinematics.ik import IkSettings
 
 LEARNED = "learned.csv"
 COLUMNS = ("time_s", "x_m", "y_m", "z_m")

@@ -13,9 +13,9 @@ from matplotlib.ticker import MaxNLocator, MultipleLocator
 from tepm_opt.jobs.modes import ModesRun
 from tepm_opt.plots.figure import STYLE
 from tepm_opt.plots.palette import AXES, MEASURED, ROBOT, Role, actuator
-from tepm_opt.solvers.linear import System
-from tepm_opt.solvers.modes import Mode, direction_in_words
-from tepm_opt.solvers.reduction import Reduced
+from tepm_opt.solvers.linear.modes import Mode, direction_in_words
+from tepm_opt.solvers.linear.reduction import Reduced
+from tepm_opt.solvers.linear.system import System
 
 SHOWN = 6  # mode shapes in a figure
 SWING = 0.06  # m a node goes at most in the drawing

@@ -15,7 +15,7 @@ from tepm_opt.hw.rig import Command, Sample, Simulated
 from tepm_opt.hw.simulation.bench import BenchRig
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.robot import Robot
-from tepm_opt.solvers.statics import Equilibrium, equilibrium
+from tepm_opt.solvers.mechanics.statics import Equilibrium, equilibrium
 
 MUSCLES = 3
 

@@ -14,7 +14,7 @@ from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.jobs.closed_loop import LoopSetup
 from tepm_opt.jobs.course import whole_reference
 from tepm_opt.jobs.rounds import run_rounds
-from tepm_opt.solvers.trajectories import circle, lissajous
+from tepm_opt.solvers.planning.trajectories import circle, lissajous
 from tests.control.study import model
 
 ROUNDS = 5

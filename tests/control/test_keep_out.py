@@ -25,9 +25,9 @@ from tepm_opt.jobs.clearance import clearance
 from tepm_opt.jobs.closed_loop import ClosedLoop, LoopSetup
 from tepm_opt.jobs.plan import tell_rest_inside
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.modal_model import modal_model
+from tepm_opt.solvers.linear.modal_model import modal_model
+from tepm_opt.solvers.mechanics.statics import equilibrium
 from tepm_opt.solvers.planning.program import distance
-from tepm_opt.solvers.statics import equilibrium
 
 SPHERE = SphereObstacle(name="lamp", centre_m=(0.1, -0.05, 0.3), radius_m=0.06)
 BOX = BoxObstacle(name="shelf", centre_m=(0.0, 0.1, 0.2), size_m=(0.1, 0.2, 0.05), rotation_deg=(20.0, -35.0, 50.0))

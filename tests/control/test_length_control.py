@@ -11,8 +11,8 @@ from tepm_opt.hw.commands import check_command
 from tepm_opt.hw.simulation.bench import BenchRig
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.models.robot import load_robot
-from tepm_opt.solvers.choices import ActuationMode
-from tepm_opt.solvers.kinematics import solve_ik
+from tepm_opt.solvers.kinematics.actuation_mode import ActuationMode
+from tepm_opt.solvers.kinematics.ik import solve_ik
 
 ROBOT = load_robot("kang2017")
 FORCES = np.full(6, 8.0)

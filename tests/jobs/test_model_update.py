@@ -15,7 +15,7 @@ from tepm_opt.jobs.record import RigSource
 from tepm_opt.models.model import Model, write_model
 from tepm_opt.recording.plan import read_plan
 from tepm_opt.report.model_update import write_model_update_page
-from tepm_opt.solvers.trajectories import circle
+from tepm_opt.solvers.planning.trajectories import circle
 
 MODEL = Model.from_robot("kang2017")
 PLAN = Path(__file__).resolve().parents[2] / "docs" / "plan.toml"

@@ -9,11 +9,11 @@ from scipy.signal import lsim
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import compile_model
-from tepm_opt.solvers.gain import solve_gain
-from tepm_opt.solvers.linear import Linear, linearise
-from tepm_opt.solvers.modes import modes, state_matrix
-from tepm_opt.solvers.simulate import simulate
-from tepm_opt.solvers.statics import Equilibrium, StaticsSettings, equilibrium, solve_statics
+from tepm_opt.solvers.linear.gain import solve_gain
+from tepm_opt.solvers.linear.modes import modes, state_matrix
+from tepm_opt.solvers.linear.system import Linear, linearise
+from tepm_opt.solvers.mechanics.simulate import simulate
+from tepm_opt.solvers.mechanics.statics import Equilibrium, StaticsSettings, equilibrium, solve_statics
 from tests.solvers.dynamics import with_dynamics
 
 BENT = np.array([1e5, 0, 2e5, 3e5, 1e5, 0, 1, 2, 3, 4, 5, 6.0])

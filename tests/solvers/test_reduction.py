@@ -8,10 +8,10 @@ import pytest
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.model import Model
-from tepm_opt.solvers.linear import Linear, System, linearise
-from tepm_opt.solvers.modes import direction_in_words, modes, poles
-from tepm_opt.solvers.reduction import balanced_reduction, difference, modal
-from tepm_opt.solvers.statics import solve_statics
+from tepm_opt.solvers.linear.modes import direction_in_words, modes, poles
+from tepm_opt.solvers.linear.reduction import balanced_reduction, difference, modal
+from tepm_opt.solvers.linear.system import Linear, System, linearise
+from tepm_opt.solvers.mechanics.statics import solve_statics
 from tests.solvers.dynamics import with_dynamics
 
 BENT = np.array([1e5, 0, 2e5, 3e5, 1e5, 0, 1, 2, 3, 4, 5, 6.0])

@@ -9,7 +9,7 @@ import numpy as np
 from tepm_opt.errors import InputError
 from tepm_opt.models.backends.interface import Status
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.statics import Equilibrium, equilibrium
+from tepm_opt.solvers.mechanics.statics import Equilibrium, equilibrium
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,8 @@ from tepm_opt.discrepancy.selection.matching_pursuit import odds
 from tepm_opt.discrepancy.selection.significance import is_significant
 from tepm_opt.discrepancy.symbolic.places import ALL, Place
 from tepm_opt.discrepancy.symbolic.score import Scored, alternatives
-from tepm_opt.solvers.hierarchy import compute_clustering_chances, off_centre
-from tepm_opt.solvers.identify import ParameterEstimate
+from tepm_opt.solvers.identification.hierarchy import compute_clustering_chances, off_centre
+from tepm_opt.solvers.identification.identify import ParameterEstimate
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tepm_opt.discrepancy.assessment.result import Named, Verdict, VerdictStatus
-from tepm_opt.solvers.text import percent, with_deviation
+from tepm_opt.solvers.numerics.text import percent, with_deviation
 
 HEAD = ("effect", "where", "size", "probability", "share of the gap")
 

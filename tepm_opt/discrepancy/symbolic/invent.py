@@ -27,9 +27,9 @@ from tepm_opt.models.effect_files import load_effects, unload_effect
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.model import Model
 from tepm_opt.progress import Progress, silent
-from tepm_opt.solvers.identify import ParameterEstimate, identify
-from tepm_opt.solvers.network_plant import NetworkPlant
-from tepm_opt.solvers.plant import PredictionError
+from tepm_opt.solvers.identification.identify import ParameterEstimate, identify
+from tepm_opt.solvers.mechanics.network_plant import NetworkPlant
+from tepm_opt.solvers.mechanics.plant import PredictionError
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,9 +19,9 @@ import scipy.linalg as sla
 
 from tepm_opt.models.backends.interface import InverseNewton, LoadCase, Status
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.modal_model import network_matrices
-from tepm_opt.solvers.statics import Equilibrium, equilibrium
-from tepm_opt.solvers.text import shorten
+from tepm_opt.solvers.linear.modal_model import network_matrices
+from tepm_opt.solvers.mechanics.statics import Equilibrium, equilibrium
+from tepm_opt.solvers.numerics.text import shorten
 
 PAIRS = tuple(itertools.combinations_with_replacement(range(3), 2))
 BOX_MARGIN = 0.25  # parts of the task's size by which the box goes beyond it: the way between its ends may bulge

@@ -20,17 +20,18 @@ from tepm_opt.models.compile import CompiledModel, finite_array
 from tepm_opt.models.devices import Devices
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent, track
-from tepm_opt.solvers.allocation import allocate
-from tepm_opt.solvers.choices import ActuationMode, Objective
-from tepm_opt.solvers.kinematics import Configuration, each_configuration
-from tepm_opt.solvers.modal_model import modal_model
+from tepm_opt.solvers.kinematics.actuation_mode import ActuationMode
+from tepm_opt.solvers.kinematics.allocation import allocate
+from tepm_opt.solvers.kinematics.ik import Configuration, each_configuration
+from tepm_opt.solvers.linear.modal_model import modal_model
+from tepm_opt.solvers.mechanics.statics import Equilibrium
 from tepm_opt.solvers.planning.convex import solve
 from tepm_opt.solvers.planning.family import Family, FamilyError, FamilyFit, axial, coordinates, make_family
+from tepm_opt.solvers.planning.objective import Objective
 from tepm_opt.solvers.planning.program import Limits, Obstacle, PlannedMotion, PlanTask, Route, distance
 from tepm_opt.solvers.planning.result import MotionPlan
 from tepm_opt.solvers.planning.setpoints import Friction, commands, residual_sway, tensions
-from tepm_opt.solvers.statics import Equilibrium
-from tepm_opt.solvers.trajectories import Trajectory
+from tepm_opt.solvers.planning.trajectories import Trajectory
 
 EXACT = FamilyFit()
 FASTEST, FOR_LOOPS = 1.2e-5, 3e-4  # s per N²/s, weights of the effort: within 1.3 times the linear arm's shortest time, and followed well

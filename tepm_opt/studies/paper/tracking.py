@@ -11,9 +11,9 @@ from tepm_opt.control.baselines.length_control import HoldRecord, LengthControll
 from tepm_opt.control.estimation.lengths import LengthEstimator
 from tepm_opt.hw.simulation.rigfile import RigFile
 from tepm_opt.models.compile import compile_model
-from tepm_opt.solvers.choices import ActuationMode
-from tepm_opt.solvers.kinematics import solve_trajectory
-from tepm_opt.solvers.trajectories import circle
+from tepm_opt.solvers.kinematics.actuation_mode import ActuationMode
+from tepm_opt.solvers.kinematics.ik import solve_trajectory
+from tepm_opt.solvers.planning.trajectories import circle
 from tepm_opt.studies.paper.common import Setting
 from tepm_opt.studies.paper.result import ExperimentResult
 

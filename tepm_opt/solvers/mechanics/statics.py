@@ -12,7 +12,7 @@ import scipy.linalg as sla
 from tepm_opt.models.backends.interface import LoadCase, Status
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import SOLVED, Ending, Outcome
-from tepm_opt.solvers.text import millimetres
+from tepm_opt.solvers.numerics.text import millimetres
 
 INDIFFERENT = 1e-9  # N/m that count as none
 THROUGH_BASE = "a plate runs through the base or the plate below it"

@@ -14,8 +14,8 @@ import numpy as np
 import scipy.linalg as sla
 
 from tepm_opt.errors import InputError
-from tepm_opt.solvers.linear import Linear, Names, System
-from tepm_opt.solvers.modes import modes
+from tepm_opt.solvers.linear.modes import modes
+from tepm_opt.solvers.linear.system import Linear, Names, System
 
 LEAST = 1e-7  # of the largest Hankel singular value: smaller ones are lost in the rounding errors of the Gramians
 ROUNDING = 1e-6  # of the largest Hankel singular value: added to bounds for those errors

@@ -13,10 +13,11 @@ import scipy.linalg as sla
 from tepm_opt.data.setpoints import AXES
 from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.models.layout import Layout
-from tepm_opt.outcome import Ending
 from tepm_opt.renamed import RenamedMethod
-from tepm_opt.solvers.statics import Equilibrium
-from tepm_opt.solvers.text import shorten
+from tepm_opt.solvers.mechanics.statics import Equilibrium
+from tepm_opt.solvers.mechanics.tangent import linearise_network
+from tepm_opt.solvers.numerics.matrices import choose_independent_columns
+from tepm_opt.solvers.numerics.text import shorten
 
 if TYPE_CHECKING:
     import control
@@ -200,10 +201,8 @@ def linearise(equilibrium: Equilibrium, actuators: bool = True, rising: bool = F
     Raises:
         InputError: not an equilibrium.
     """
-    if equilibrium.outcome.ending not in (Ending.SOLVED, Ending.UNSTABLE):
-        raise InputError(f"no equilibrium to linearise about: {equilibrium.outcome.message}")
     model, layout = equilibrium.model, equilibrium.model.layout
-    A, by_actuation, by_force = _network(equilibrium)
+    A, by_actuation, by_force = linearise_network(equilibrium)
     F, E, N, M = _inputs(equilibrium, actuators, rising)
     # dy/dt = F y + E du/dt and a = M u + N y become, with q = y - E u: dq/dt = F q + F E u, a = N q + (M + N E) u
     memory, forces = len(F), by_force.shape[1]
@@ -221,32 +220,6 @@ def linearise(equilibrium: Equilibrium, actuators: bool = True, rising: bool = F
         kinds=np.repeat(["position", "velocity", "edge", "input"], [size, size, edges, memory]),
         names=np.array(_state_names(layout, edges // layout.levels, memory)),
     )  # fmt: skip
-
-
-def _network(equilibrium: Equilibrium) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A of levels, velocities and edge states, and what the effective actuation and the forces on the points add to d/dt s."""
-    model, stepper, layout = equilibrium.model, equilibrium.model.reference_stepper, equilibrium.model.layout
-    n, block, edges, size = layout.levels, layout.block, stepper.dynamics.edge_states, layout.levels * layout.block
-    loads, outer = equilibrium.loads, layout.inputs + 3 * layout.points
-    a, P = model.reference.prepare(equilibrium.inputs, equilibrium.mapped, loads.ravel(), model.theta)[:2]
-    d_P = stepper.jacobian("properties_by", a, loads, model.theta)[: P.size, :outer].reshape(*P.shape, outer)
-    jacobians = stepper.segment_jacobians(equilibrium.x, P, model.theta)
-    by_x, by_v, by_y, by_P = np.split(jacobians, np.cumsum([2 * block, 2 * block, edges, P.shape[1]]), axis=2)[:4]
-    driven = by_P @ d_P
-    A = np.zeros((2 * size + n * edges, 2 * size + n * edges))
-    B = np.zeros((len(A), outer))
-    for s in range(n):
-        near = np.arange(2 * block) + (s - 1) * block  # coordinates of its two levels; those of level 0, which is fixed, are negative
-        free, own = near >= 0, 2 * size + s * edges + np.arange(edges)
-        rows, columns = np.r_[size + near[free], own], np.r_[near[free], size + near[free], own]
-        kept = np.r_[free, np.ones(edges, dtype=bool)]
-        A[np.ix_(rows, columns)] += np.hstack([by_x[s][:, free], by_v[s][:, free], by_y[s]])[kept]
-        B[rows] += driven[s][kept]
-    mass = np.repeat(P[:, stepper.mass_row], block)[:, None]
-    A[size : 2 * size] /= -mass  # until here forces, which hold the nodes back
-    B[size : 2 * size] /= -mass
-    A[:size, size : 2 * size] = np.eye(size)
-    return A, B[:, : layout.inputs], B[:, layout.inputs :]
 
 
 def _inputs(equilibrium: Equilibrium, actuators: bool, rising: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -309,9 +282,3 @@ def _find(kind: str, wanted: Names, names: Sequence[str]) -> list[int]:
     if not found or len(set(found)) < len(found):
         raise InputError(f"{kind}s {wanted!r}: {'none' if not found else 'one stands twice'}; valid: each at most once, at least one")
     return found
-
-
-def choose_independent_columns(rows: np.ndarray, count: int) -> np.ndarray:
-    """Choose columns of a matrix that are independent of each other, the clearest first, (count,)."""
-    pivots = np.asarray(sla.qr(rows, mode="r", pivoting=True)[-1]) if count else np.zeros(0)
-    return pivots[:count].astype(int)
