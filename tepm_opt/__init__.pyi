@@ -110,8 +110,8 @@ from .solvers.linear.modes import poles as poles
 from .solvers.linear.modes import state_matrix as state_matrix
 from .solvers.linear.reduction import balanced_reduction as balanced_reduction
 from .solvers.linear.reduction import modal as modal
-from .solvers.linear.system import Linear as Linear
-from .solvers.linear.system import linearise as linearise
+from .solvers.linear.state_space import Linear as Linear
+from .solvers.linear.state_space import linearise as linearise
 from .solvers.mechanics.simulate import Directions as Directions
 from .solvers.mechanics.simulate import Simulation as Simulation
 from .solvers.mechanics.simulate import simulate as simulate

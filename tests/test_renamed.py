@@ -40,7 +40,7 @@ def test_an_unknown_module_is_unknown() -> None:
             import_module(name)
 
 
-@pytest.mark.parametrize(("package", "new"), [("kinematics", "ik.solve_ik"), ("linear", "system.linearise")])
+@pytest.mark.parametrize(("package", "new"), [("kinematics", "ik.solve_ik"), ("linear", "state_space.linearise")])
 def test_names_of_a_module_that_is_a_package_now_are_found(package: str, new: str) -> None:
     old, name = f"tepm_opt.solvers.{package}", new.partition(".")[2]
     with pytest.warns(DeprecationWarning, match=rf"{old}\.{name} is now {old}\.{new}; the old name goes with version 0\.4") as told:

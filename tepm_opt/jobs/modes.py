@@ -21,7 +21,7 @@ from tepm_opt.outcome import Outcome
 from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.linear.modes import Mode, modes
 from tepm_opt.solvers.linear.reduction import Reduced, balanced_reduction
-from tepm_opt.solvers.linear.system import Linear, linearise
+from tepm_opt.solvers.linear.state_space import Linear, linearise
 from tepm_opt.solvers.mechanics.statics import Equilibrium
 from tepm_opt.solvers.mechanics.step_limit import stable_step
 

@@ -11,7 +11,7 @@ from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.solvers.linear.modes import modes
-from tepm_opt.solvers.linear.system import linearise
+from tepm_opt.solvers.linear.state_space import linearise
 from tepm_opt.solvers.mechanics.simulate import SimulationError, simulate
 from tepm_opt.solvers.mechanics.statics import Equilibrium, solve_statics
 

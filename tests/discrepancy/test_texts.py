@@ -24,7 +24,7 @@ from tepm_opt.solvers.linear.gain import input_curve, solve_gain, workspace_map
 from tepm_opt.solvers.linear.modal_model import modal_model
 from tepm_opt.solvers.linear.modes import modes
 from tepm_opt.solvers.linear.reduction import balanced_reduction
-from tepm_opt.solvers.linear.system import linearise
+from tepm_opt.solvers.linear.state_space import linearise
 from tepm_opt.solvers.mechanics.network_plant import NetworkPlant, free_parameters
 from tepm_opt.solvers.mechanics.predict import predict
 from tepm_opt.solvers.mechanics.simulate import Directions, simulate

@@ -11,7 +11,7 @@ from tepm_opt.errors import InputError
 from tepm_opt.models.compile import compile_model
 from tepm_opt.solvers.linear.gain import solve_gain
 from tepm_opt.solvers.linear.modes import modes, state_matrix
-from tepm_opt.solvers.linear.system import Linear, linearise
+from tepm_opt.solvers.linear.state_space import Linear, linearise
 from tepm_opt.solvers.mechanics.simulate import simulate
 from tepm_opt.solvers.mechanics.statics import Equilibrium, StaticsSettings, equilibrium, solve_statics
 from tests.solvers.dynamics import with_dynamics
@@ -168,7 +168,9 @@ def test_states_that_remember_have_names():
     """As many as there are, each once, also where some are taken out or a delay adds some."""
     linear = linearise(held("friction"))
     assert len(set(linear.state_names)) == len(linear.A)
-    assert set(linear.state_names) - set(linear.without_held_states().state_names) == set(linear.names[linear.held].tolist())
+    assert set(linear.state_names) - set(linear.without_held_states().state_names) == {
+        linear.state_names[k] for k in np.flatnonzero(linear.held)
+    }
     late = linearise(held("delay")).to_control(("pressure_11", "tension_11"), "s4", pade=2)
     assert late.state_labels[-4:] == [f"delay_{name}_11_{k}" for name in ("pressure", "tension") for k in (1, 2)]
     assert len(set(late.state_labels)) == late.nstates

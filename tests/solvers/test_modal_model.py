@@ -9,7 +9,7 @@ from tepm_opt.models.model import Model
 from tepm_opt.solvers.kinematics.actuation_mode import ActuationMode
 from tepm_opt.solvers.kinematics.ik import solve_trajectory
 from tepm_opt.solvers.linear.modal_model import modal_model
-from tepm_opt.solvers.linear.system import linearise
+from tepm_opt.solvers.linear.state_space import linearise
 from tepm_opt.solvers.mechanics.statics import solve_statics
 from tepm_opt.solvers.planning.trajectories import circle
 from tests.tools import random_inputs, relative, variant

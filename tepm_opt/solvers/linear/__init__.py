@@ -6,7 +6,7 @@ from typing import Any
 
 from tepm_opt.renamed import find_renamed
 
-_RENAMED = {"Linear": "system.Linear", "linearise": "system.linearise"}
+_RENAMED = {"Linear": "state_space.Linear", "linearise": "state_space.linearise"}
 
 
 def __getattr__(name: str) -> Any:

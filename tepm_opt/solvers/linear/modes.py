@@ -7,7 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from tepm_opt.solvers.linear.system import Linear
+from tepm_opt.errors import InputError
+from tepm_opt.solvers.linear.state_space import Linear
 from tepm_opt.solvers.mechanics.statics import Equilibrium
 from tepm_opt.solvers.numerics.matrices import choose_independent_columns, expand_band
 from tepm_opt.solvers.numerics.text import shorten
@@ -122,8 +123,11 @@ def modes(linear: Linear) -> tuple[Mode, ...]:
     """All modes, slowest first; those with an eigenvalue 0 (`linear.held`) are not among them.
 
     Raises:
+        InputError: a reduced system.
         numpy.linalg.LinAlgError: eigenvectors that do not span all motions.
     """
+    if not linear.coordinates:
+        raise InputError("modes: a reduced system has no motions of nodes; valid: a system of `linearise`")
     moving = linear.without_held_states()
     values, vectors = np.linalg.eig(moving.A)
     for k in np.flatnonzero((np.imag(values) > 0) & (np.imag(values) < STILL * np.abs(values))):  # one real eigenvalue, twice
