@@ -13,7 +13,7 @@ from tepm_opt.solvers.linear.gain import solve_gain
 from tepm_opt.solvers.linear.modes import modes, state_matrix
 from tepm_opt.solvers.linear.state_space import Linear, linearise
 from tepm_opt.solvers.mechanics.simulate import simulate
-from tepm_opt.solvers.mechanics.statics import Equilibrium, StaticsSettings, equilibrium, solve_statics
+from tepm_opt.solvers.mechanics.statics import Equilibrium, StaticsSettings, solve_actuated_statics, solve_statics
 from tests.solvers.dynamics import with_dynamics
 
 BENT = np.array([1e5, 0, 2e5, 3e5, 1e5, 0, 1, 2, 3, 4, 5, 6.0])
@@ -195,7 +195,7 @@ def test_delay_by_pade():
 @pytest.mark.slow
 def test_effective_actuation_acts_at_once():
     model = compile_model(with_dynamics(**EFFECTS["lag"]))
-    mapped = linearise(equilibrium(model, BENT, model.check_loads(None), mapped=True))
+    mapped = linearise(solve_actuated_statics(model, BENT, model.check_loads(None)))
     assert "input" not in mapped.kinds
     commanded = linearise(solve_statics(model, BENT), actuators=False)
     np.testing.assert_allclose(mapped.B, commanded.B, atol=1e-12 * abs(commanded.B).max())
