@@ -9,6 +9,7 @@ from .data.setpoints import read_setpoints as read_setpoints
 from .data.setpoints import write_setpoints as write_setpoints
 from .discrepancy.assessment.result import Verdict as Verdict
 from .discrepancy.assessment.result import VerdictStatus as VerdictStatus
+from .discrepancy.pipeline import DiscoverOptions as DiscoverOptions
 from .discrepancy.pipeline import discover as discover
 from .discrepancy.state import Discovery as Discovery
 from .errors import InputError as InputError
@@ -31,6 +32,7 @@ from .jobs.course import Course as Course
 from .jobs.course import whole_reference as whole_reference
 from .jobs.demo import DemoRun as DemoRun
 from .jobs.demo import run_demo as run_demo
+from .jobs.discrepancy import DiscrepancyOptions as DiscrepancyOptions
 from .jobs.discrepancy import run_discrepancy as run_discrepancy
 from .jobs.excite import ExciteRun as ExciteRun
 from .jobs.excite import run_excite as run_excite
@@ -59,6 +61,7 @@ from .jobs.modes import run_modes as run_modes
 from .jobs.mpc import run_closed_loop as run_closed_loop
 from .jobs.new_data import new_dataset as new_dataset
 from .jobs.next_run import NextRun as NextRun
+from .jobs.next_run import NextRunOptions as NextRunOptions
 from .jobs.next_run import run_next as run_next
 from .jobs.plan import PlanRun as PlanRun
 from .jobs.plan import run_plan as run_plan
@@ -67,6 +70,7 @@ from .jobs.play import play as play
 from .jobs.record import RigSource as RigSource
 from .jobs.record import record as record
 from .jobs.rounds import RoundsRun as RoundsRun
+from .jobs.rounds import RoundsTask as RoundsTask
 from .jobs.rounds import read_correction as read_correction
 from .jobs.rounds import run_rounds as run_rounds
 from .jobs.simulate import SimulateRun as SimulateRun

@@ -59,9 +59,8 @@ def discrepancy(
     try:
         with show_progress(as_json, told=True) as progress:
             Thread(target=_import_what_comes_last, daemon=True).start()  # a second, beside the search
-            result = tepm.run_discrepancy(
-                dataset, out, model, seed, despite_errors, progress, plant, invent, add or (), mend, baseline, minutes
-            )
+            options = tepm.DiscrepancyOptions(seed, despite_errors, invent, add or (), mend, baseline, minutes)
+            result = tepm.run_discrepancy(dataset, out, model, plant, options, progress)
             progress("drawing", 0, 0)
             pictures = plots.draw(result, out)
             if result.law is not None:

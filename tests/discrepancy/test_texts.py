@@ -87,7 +87,7 @@ SHOWN: dict[str, Callable[[Subjects], object]] = {
     "ParameterEstimate(solved": lambda s: replace(s.estimate, outcome=Outcome()),
     "ParameterEstimate(not converged": lambda s: replace(s.estimate, outcome=Outcome(Ending.NOT_CONVERGED)),
     "Linear(": lambda s: linearise(solve_statics(s.model, np.zeros(12))),
-    "System(": lambda s: linearise(solve_statics(s.model, np.zeros(12))).select("pressure", "s4"),
+    "Linear(216 states, 6 inputs, 3 outputs": lambda s: linearise(solve_statics(s.model, np.zeros(12))).select("pressure", "s4"),
     "Reduced(balanced": lambda s: balanced_reduction(linearise(solve_statics(s.model, np.zeros(12))), 6, None, "pressure", "s4"),
     "Mode(": lambda s: modes(linearise(solve_statics(s.model, np.zeros(12))))[0],
     "ModalModel(": lambda s: modal_model(solve_statics(s.model, np.zeros(12))),
