@@ -136,7 +136,7 @@ def invent(
 
 @dataclass(frozen=True, eq=False)
 class _Judge:
-    """What formulas are fitted to and judged by, see `invent`; `made` are the runs fitted to, as the model does them."""
+    """Data and model by which formulas are fitted and judged, see `invent`; `made` are the runs fitted to, as the model does them."""
 
     estimate: ParameterEstimate
     known: Model
