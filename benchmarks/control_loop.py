@@ -13,7 +13,7 @@ from tepm_opt.control.references.reference import Reference, approach, reference
 from tepm_opt.hw.rig import Sample
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.trajectories import circle
+from tepm_opt.solvers.planning.trajectories import circle
 
 RECORDED = 600  # samples
 LAP = 8.0  # s, of the circle

@@ -14,10 +14,10 @@ import scipy.linalg as sla
 
 from tepm_opt.control.mpc.qp import QpSolver
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.choices import ActuationMode
-from tepm_opt.solvers.kinematics import solve_trajectory
-from tepm_opt.solvers.modal_model import modal_model
-from tepm_opt.solvers.trajectories import circle
+from tepm_opt.solvers.kinematics.actuation_mode import ActuationMode
+from tepm_opt.solvers.kinematics.ik import solve_trajectory
+from tepm_opt.solvers.linear.modal_model import modal_model
+from tepm_opt.solvers.planning.trajectories import circle
 
 STAGE, STAGES = 0.02, 15  # s
 HIGHEST, RATE = 7.0, 0.2  # N; N a stage

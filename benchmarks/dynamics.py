@@ -22,8 +22,8 @@ from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.models.backends.interface import EXPLICIT
 from tepm_opt.models.backends.motion_interface import Drive, Record, Scheme
 from tepm_opt.models.compile import CompiledModel, compile_model
-from tepm_opt.solvers.simulate import Directions, Simulation, simulate
-from tepm_opt.solvers.statics import solve_statics
+from tepm_opt.solvers.mechanics.simulate import Directions, Simulation, simulate
+from tepm_opt.solvers.mechanics.statics import solve_statics
 
 DURATION, SAMPLE = 3.0, 0.02  # s, as in time_limit.py
 REST = 1e-4  # s at rest before the pressure steps, which takes ours one more step

@@ -10,7 +10,7 @@ from benchmarks.parts import Session
 from benchmarks.scene import Scene, free
 from benchmarks.timing import Contender, Task
 from benchmarks.workshop import Buffered
-from tepm_opt.solvers.gain import solve_gain
+from tepm_opt.solvers.linear.gain import solve_gain
 
 OURS = "tepm_opt solve_gain"
 AD_C = "AD through fast_newton, generated C"

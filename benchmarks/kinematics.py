@@ -18,10 +18,10 @@ from benchmarks.timing import Contender, Task
 from benchmarks.workshop import Buffered
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Ending
-from tepm_opt.solvers.allocation import force_range
-from tepm_opt.solvers.choices import ActuationMode
-from tepm_opt.solvers.kinematics import Configuration, solve_ik, solve_trajectory
-from tepm_opt.solvers.statics import Equilibrium, equilibrium
+from tepm_opt.solvers.kinematics.actuation_mode import ActuationMode
+from tepm_opt.solvers.kinematics.allocation import force_range
+from tepm_opt.solvers.kinematics.ik import Configuration, solve_ik, solve_trajectory
+from tepm_opt.solvers.mechanics.statics import Equilibrium, solve_actuated_statics
 
 OURS = "tepm_opt solve_ik"
 PATH, ONE_BY_ONE = "tepm_opt solve_trajectory", "tepm_opt solve_ik, each from the last"
@@ -197,7 +197,7 @@ def _slsqp(scene: Scene, target: np.ndarray, low: np.ndarray, high: np.ndarray, 
     def at(part: np.ndarray) -> Equilibrium:
         nonlocal last
         effective = np.append((low + part * span) / model.values["A"], np.zeros(half))
-        last = equilibrium(model, effective, loads, last, mapped=True, explain=False)
+        last = solve_actuated_statics(model, effective, loads, last)
         return last
 
     def errors(part: np.ndarray) -> np.ndarray:

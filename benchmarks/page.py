@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.report import Figures, text_of
 from benchmarks.timing import Contender, Task
 from tepm_opt.report.template import Group, Row, write
-from tepm_opt.solvers.text import digits
+from tepm_opt.solvers.numerics.text import digits
 
 
 def write_benchmark_page(path: str | Path, measured: Figures, tasks: Sequence[Task], pinned: str) -> None:

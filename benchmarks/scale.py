@@ -10,9 +10,9 @@ import numpy as np
 
 from tepm_opt.jobs.executors import processes
 from tepm_opt.models.compile import CompiledModel, compile_model
-from tepm_opt.solvers.gain import solve_gain
-from tepm_opt.solvers.parallel import each_done
-from tepm_opt.solvers.statics import solve_statics
+from tepm_opt.solvers.linear.gain import solve_gain
+from tepm_opt.solvers.mechanics.statics import solve_statics
+from tepm_opt.solvers.numerics.parallel import each_done
 
 CHUNK = 500
 """Evaluations that a piece of work makes: some tens of milliseconds, so that sending it costs nothing."""

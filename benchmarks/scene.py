@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.network import WholeNetwork, write_whole_network
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel, compile_model
-from tepm_opt.solvers.statics import Equilibrium, solve_statics
+from tepm_opt.solvers.mechanics.statics import Equilibrium, solve_statics
 
 
 @dataclass(frozen=True)

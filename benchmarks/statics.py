@@ -17,7 +17,7 @@ from benchmarks.scene import Scene, free
 from benchmarks.timing import Contender, Task
 from benchmarks.workshop import Buffered, Workshop
 from tepm_opt.models.backends.interface import LoadCase
-from tepm_opt.solvers.statics import DEFAULT, Equilibrium, solve_statics
+from tepm_opt.solvers.mechanics.statics import DEFAULT, Equilibrium, solve_statics
 
 TOLERANCE = DEFAULT.tolerance
 OURS = "tepm_opt solve_statics"

@@ -23,7 +23,7 @@ from tepm_opt.jobs.discrepancy import run_discrepancy
 from tepm_opt.models.channels import channels_of
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.model import Model
-from tepm_opt.solvers.simulate import simulate
+from tepm_opt.solvers.mechanics.simulate import simulate
 
 HIDDEN = "payload"  # the effect that the data made here carry, at its probe values
 NOISE = 1e-3  # m per axis

@@ -20,8 +20,8 @@ from tepm_opt.data.run import Run
 from tepm_opt.data.tables import write_columns
 from tepm_opt.data.trials import read_trials
 from tepm_opt.jobs.plants import load_plant
-from tepm_opt.solvers.identify import Problem, identify
-from tepm_opt.solvers.plant import Plant
+from tepm_opt.solvers.identification.identify import Problem, identify
+from tepm_opt.solvers.mechanics.plant import Plant
 
 PULLEY = 0.0325  # m, from the motors' torques to tensions
 SETTLED = 40  # samples at the end of a recording

@@ -40,9 +40,6 @@ def __getattr__(name: str) -> object:
     """
     if name not in RENAMED:
         return _get_listed(name)
-    import pkgutil
-    import warnings
+    from tepm_opt.renamed import find_renamed
 
-    new = f"{__name__}.{RENAMED[name]}"
-    warnings.warn(f"{__name__}.{name} is now {new}; the old name goes with version 0.4", DeprecationWarning, stacklevel=2)
-    return pkgutil.resolve_name(new)
+    return find_renamed(__name__, name, RENAMED)

@@ -1,7 +1,8 @@
-"""Modules and methods by their names of version 0.2, which go with version 0.4."""
+"""Modules, methods and other names by those of version 0.2, which go with version 0.4."""
 
 from __future__ import annotations
 
+import pkgutil
 import sys
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -46,6 +47,24 @@ def rename_modules(package: str, names: Mapping[str, str]) -> None:
         names: new names by the old ones, both within the package; a new one that ends in `.*` is a package with all its modules.
     """
     sys.meta_path.append(_RenamedModules(package, names))
+
+
+def find_renamed(package: str, name: str, names: Mapping[str, str]) -> Any:
+    """Object of a package by its old name, with a DeprecationWarning that tells the new one; for the package's `__getattr__`.
+
+    Args:
+        package: full name.
+        name: asked for.
+        names: new names by the old ones, both within the package.
+
+    Raises:
+        AttributeError: no such name.
+    """
+    if name not in names:
+        raise AttributeError(f"module {package!r} has no attribute {name!r}")
+    new = f"{package}.{names[name]}"
+    warnings.warn(f"{package}.{name} is now {new}; the old name goes with version 0.4", DeprecationWarning, stacklevel=3)
+    return pkgutil.resolve_name(new)
 
 
 class RenamedMethod:

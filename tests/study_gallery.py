@@ -23,7 +23,7 @@ from tepm_opt.hw.simulation.rigfile import RigFile
 from tepm_opt.jobs.discrepancy import VERDICT, run_discrepancy
 from tepm_opt.jobs.identify import open_datasets, run_identify
 from tepm_opt.jobs.record import RigSource, record
-from tepm_opt.solvers.text import with_deviation
+from tepm_opt.solvers.numerics.text import with_deviation
 
 GALLERY = ("one_module", "hanging", "four_muscles", "slim")
 SHARE = 0.05  # of the robot's mass, of the hidden payload

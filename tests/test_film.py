@@ -18,7 +18,7 @@ from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.plots import film as films
 from tepm_opt.plots.scene import HEIGHT, WIDTH, Scene
-from tepm_opt.solvers.simulate import Simulation, simulate
+from tepm_opt.solvers.mechanics.simulate import Simulation, simulate
 
 
 @pytest.fixture(scope="module")

@@ -12,12 +12,12 @@ from tepm_opt.hw.rig import Command
 from tepm_opt.models.channels import channels_of
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.robot import builtin_robots, load_robot
-from tepm_opt.solvers.gain import solve_gain
-from tepm_opt.solvers.kinematics import solve_ik
-from tepm_opt.solvers.linear import linearise
-from tepm_opt.solvers.modes import modes
-from tepm_opt.solvers.sized import path_for
-from tepm_opt.solvers.statics import solve_statics
+from tepm_opt.solvers.kinematics.ik import solve_ik
+from tepm_opt.solvers.linear.gain import solve_gain
+from tepm_opt.solvers.linear.modes import modes
+from tepm_opt.solvers.linear.state_space import linearise
+from tepm_opt.solvers.mechanics.statics import solve_statics
+from tepm_opt.solvers.planning.scaled_paths import path_for
 from tests.study_gallery import GALLERY, steered
 
 

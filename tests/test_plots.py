@@ -18,7 +18,7 @@ from tepm_opt.plots.gain import gain_figure
 from tepm_opt.plots.ik import ik_figure
 from tepm_opt.plots.motion import _driven_axes
 from tepm_opt.plots.plan import _way
-from tepm_opt.solvers.trajectories import circle
+from tepm_opt.solvers.planning.trajectories import circle
 from tepm_opt.studies.paper.figures import _fig9
 from tests.cli.conftest import thin_map
 

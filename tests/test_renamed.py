@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pkgutil
 from importlib import import_module
 from pathlib import Path
 
@@ -11,13 +12,15 @@ from tepm_opt import Directions, Gain, Linear, LoopSetup, Model, Trajectory
 from tepm_opt.control.references.reference import Reference
 from tepm_opt.hw.simulation.imperfections.base import Imperfection
 from tepm_opt.models.effect import Effect
-from tepm_opt.solvers.modal_model import ModalModel
+from tepm_opt.solvers.linear.modal_model import ModalModel
 
 MOVED = {
     "tepm_opt.control.estimator": "tepm_opt.control.estimation.kalman_filter",
     "tepm_opt.control.controllers.base": "tepm_opt.control.controller",
     "tepm_opt.discrepancy.equations": "tepm_opt.discrepancy.adapters.equations",
     "tepm_opt.discrepancy.library.axis": "tepm_opt.discrepancy.laws.axis",
+    "tepm_opt.solvers.statics": "tepm_opt.solvers.mechanics.statics",
+    "tepm_opt.solvers.start": "tepm_opt.solvers.identification.initial_state",
 }
 
 
@@ -35,6 +38,17 @@ def test_an_unknown_module_is_unknown() -> None:
     for name in ("tepm_opt.control.nothing", "tepm_opt.control.controllers.nothing"):
         with pytest.raises(ModuleNotFoundError):
             import_module(name)
+
+
+@pytest.mark.parametrize(("package", "new"), [("kinematics", "ik.solve_ik"), ("linear", "state_space.linearise")])
+def test_names_of_a_module_that_is_a_package_now_are_found(package: str, new: str) -> None:
+    old, name = f"tepm_opt.solvers.{package}", new.partition(".")[2]
+    with pytest.warns(DeprecationWarning, match=rf"{old}\.{name} is now {old}\.{new}; the old name goes with version 0\.4") as told:
+        found = getattr(import_module(old), name)
+    assert found is pkgutil.resolve_name(f"{old}.{new}")
+    assert Path(told[0].filename) == Path(__file__)
+    with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
+        _ = import_module(old).nothing
 
 
 METHODS = [

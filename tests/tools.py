@@ -13,7 +13,7 @@ from tepm_opt.models.layout import Layout
 from tepm_opt.models.model import Model
 from tepm_opt.models.robot import Robot, load_robot
 from tepm_opt.progress import Progress
-from tepm_opt.solvers.statics import Equilibrium, StaticsSettings
+from tepm_opt.solvers.mechanics.statics import Equilibrium, StaticsSettings
 
 PRECISE = StaticsSettings(tolerance=1e-10)
 """For differences of equilibria: ten times the rounding noise of the forces."""

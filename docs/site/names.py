@@ -25,7 +25,7 @@ TITLES = {
 
 
 def names() -> dict[str, list[str]]:
-    """Modules and names of the stubs, such as "solvers.statics.solve_statics", by package."""
+    """Modules and names of the stubs, such as "solvers.mechanics.statics.solve_statics", by package."""
     found: dict[str, list[str]] = {name: [] for name in TITLES}
     for module, name in listed_in(PACKAGE / "__init__.pyi"):
         found[module.split(".")[0] if "." in module else "outcomes"].append(f"{module}.{name}")

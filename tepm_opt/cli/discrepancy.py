@@ -54,14 +54,13 @@ def discrepancy(
     from tepm_opt.discrepancy.reporting.effect_table import effect_table, sentences_beside_table
     from tepm_opt.discrepancy.symbolic.page import paragraph
     from tepm_opt.jobs.discrepancy import EFFECTS, MODEL, VALUES, VERDICT
-    from tepm_opt.solvers.text import align_columns
+    from tepm_opt.solvers.numerics.text import align_columns
 
     try:
         with show_progress(as_json, told=True) as progress:
             Thread(target=_import_what_comes_last, daemon=True).start()  # a second, beside the search
-            result = tepm.run_discrepancy(
-                dataset, out, model, seed, despite_errors, progress, plant, invent, add or (), mend, baseline, minutes
-            )
+            options = tepm.DiscrepancyOptions(seed, despite_errors, invent, add or (), mend, baseline, minutes)
+            result = tepm.run_discrepancy(dataset, out, model, plant, options, progress)
             progress("drawing", 0, 0)
             pictures = plots.draw(result, out)
             if result.law is not None:

@@ -18,13 +18,22 @@ from rich.markup import escape
 from tepm_opt.cli.common import refuse_far, stderr, vector
 from tepm_opt.data.foreign import CSV, refuse_foreign
 from tepm_opt.errors import InputError
-from tepm_opt.solvers.trajectories import DURATION, END, SHAPES, START, ShapeParameter, Trajectory, read_trajectory, shape_parameters
+from tepm_opt.solvers.planning.trajectories import (
+    DURATION,
+    END,
+    SHAPES,
+    START,
+    ShapeParameter,
+    Trajectory,
+    read_trajectory,
+    shape_parameters,
+)
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     from tepm_opt.models.compile import CompiledModel
-    from tepm_opt.solvers.kinematics import IkSettings
+    from tepm_opt.solvers.kinematics.ik import IkSettings
 
 Command = Callable[..., int]
 
@@ -106,7 +115,7 @@ class IkOptions(OptionGroup):
 
     def settings(self) -> IkSettings:
         """Settings of the solver; what was not given keeps its default."""
-        from tepm_opt.solvers.kinematics import IkSettings
+        from tepm_opt.solvers.kinematics.ik import IkSettings
 
         return IkSettings(**{name: value for name, value in vars(self).items() if value is not None})
 
@@ -198,7 +207,7 @@ class ShapeOptions(OptionGroup):
         if shape is not None and model is None:
             return shape.make(**self.given)
         if shape is not None and model is not None:
-            from tepm_opt.solvers.sized import path_for
+            from tepm_opt.solvers.planning.scaled_paths import path_for
 
             made = path_for(model, name, **self.given)
             refuse_far(model, made.positions, name)

@@ -19,7 +19,7 @@ from tepm_opt.cli.groups import WorkerOptions
 from tepm_opt.cli.progress import show_progress
 from tepm_opt.data.files import output_folder
 from tepm_opt.errors import InputError
-from tepm_opt.solvers.prior import JointPrior
+from tepm_opt.solvers.identification.prior import JointPrior
 
 
 def identify(

@@ -15,7 +15,7 @@ from tepm_opt.cli.groups import TRAJECTORY_HELP, IkOptions, TrajectoryOptions
 from tepm_opt.cli.progress import show_progress
 from tepm_opt.data.files import output_folder
 from tepm_opt.errors import InputError
-from tepm_opt.solvers.choices import ActuationMode
+from tepm_opt.solvers.kinematics.actuation_mode import ActuationMode
 
 if TYPE_CHECKING:
     from tepm_opt.jobs.ik import IkRun

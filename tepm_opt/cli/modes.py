@@ -20,8 +20,8 @@ from tepm_opt.errors import InputError
 if TYPE_CHECKING:
     from tepm_opt.jobs.modes import ModesRun
     from tepm_opt.models.compile import CompiledModel
-    from tepm_opt.solvers.modes import Mode
-    from tepm_opt.solvers.statics import Equilibrium
+    from tepm_opt.solvers.linear.modes import Mode
+    from tepm_opt.solvers.mechanics.statics import Equilibrium
 
 
 def lines(run: ModesRun, shown: int, out: Path | None) -> list[str]:

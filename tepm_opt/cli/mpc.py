@@ -247,8 +247,8 @@ def mpc(
         if learn is not None or known is not None:
 
             def rounds(observer: Observer | None, bars: Progress) -> RoundsRun:
-                every = (lambda number: opened(seed + number) if number else device), setup, learn or 1, folder, known
-                return tepm.run_rounds(compiled, reference, *every, kinematics.settings(), progress=bars, observer=observer)
+                task = tepm.RoundsTask(reference, setup, learn or 1, known, kinematics.settings())
+                return tepm.run_rounds(compiled, task, lambda number: opened(seed + number) if number else device, folder, bars, observer)
 
             return _drive_rounds(rounds, live(view, device, shows), out, folder, as_json)
         try:

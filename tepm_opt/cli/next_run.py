@@ -32,7 +32,7 @@ def next_run(
     Record it (tepm record PLAN --out EXTRA), then go on with it (tepm discrepancy DATASET --add EXTRA).
     """
     with show_progress(as_json) as progress:
-        run = tepm.run_next(found, seconds, seed, loads, data or (), despite_errors, progress)
+        run = tepm.run_next(found, tepm.NextRunOptions(seconds, seed, loads), data or (), despite_errors, progress)
     run.save(out)
     summary = run.summary()
     if as_json:

@@ -17,8 +17,8 @@ from tepm_opt.cli.progress import show_progress
 from tepm_opt.data.files import output_folder
 from tepm_opt.data.sizes import refuse_millimetres
 from tepm_opt.errors import InputError
-from tepm_opt.solvers.choices import Objective
-from tepm_opt.solvers.trajectories import SHAPES, Trajectory
+from tepm_opt.solvers.planning.objective import Objective
+from tepm_opt.solvers.planning.trajectories import SHAPES, Trajectory
 
 if TYPE_CHECKING:
     from tepm_opt.jobs.plan import PlanRun

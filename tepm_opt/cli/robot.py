@@ -76,7 +76,7 @@ def _refuse_heavy(robot: str) -> None:
         InputError: naming the mass and the largest one that stands.
     """
     from tepm_opt.cli.common import load
-    from tepm_opt.solvers.statics import tell_buckling
+    from tepm_opt.solvers.mechanics.statics import tell_buckling
 
     if wrong := tell_buckling(load(robot, None)):
         raise tepm.InputError(f"{robot}: {wrong}")

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from tepm_opt.models.compile import CompiledModel
     from tepm_opt.plots.film import Kind
     from tepm_opt.progress import Progress
-    from tepm_opt.solvers.simulate import Directions, Method
+    from tepm_opt.solvers.mechanics.simulate import Directions, Method
 
 SHORTEST, LONGEST = 0.02, 1000.0  # ms; a step that was meant in s is below
 FINEST, COARSEST = 1e-4, 10.0  # mm
@@ -111,7 +111,7 @@ def simulate(
     """Simulate the motion under a file's inputs: trajectory (a run of a data set), lengths, figures, film."""
     from tepm_opt.jobs.simulate import LENGTHS, TRAJECTORY
     from tepm_opt.plots.film import choose
-    from tepm_opt.solvers.simulate import METHODS
+    from tepm_opt.solvers.mechanics.simulate import METHODS
 
     if method not in METHODS:
         raise unknown_name("method", method, METHODS)

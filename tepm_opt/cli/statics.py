@@ -47,7 +47,7 @@ def statics(
     as_json: JsonOption = False,
 ) -> int:
     """Solve equilibria: shape, actuator lengths, stability."""
-    from tepm_opt.solvers.statics import tell_buckling
+    from tepm_opt.solvers.mechanics.statics import tell_buckling
 
     if inputs is not None and (pressures or tensions or tip_force):
         raise InputError("a set-point file and --pressures, --tensions or --tip-force exclude each other")

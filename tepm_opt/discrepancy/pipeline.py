@@ -1,13 +1,13 @@
 """The discrepancy workflow as a pipeline of stages (`stages.py`), run, timed and repeated where a beginning or a run is odd.
 
-States are frozen, so that a stage can be run, timed or replaced alone (`discover(…, stages=…)`).
+States are frozen, so that a stage can be run, timed or replaced alone (`DiscoverOptions(stages=…)`).
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,7 @@ from tepm_opt.discrepancy.stages import STAGES, other_store, prepare, recalibrat
 from tepm_opt.discrepancy.state import Discovery, Question
 from tepm_opt.errors import InputError
 from tepm_opt.progress import Progress, silent
-from tepm_opt.solvers.plant import PredictionError
+from tepm_opt.solvers.mechanics.plant import PredictionError
 
 
 def learn_baseline(question: Question) -> Baseline:
@@ -68,11 +68,31 @@ def require_fit_runs(dataset: RunSet) -> None:
         raise InputError(f"{dataset.name}: no run has the role 'fit'; there is nothing to learn from")
 
 
+@dataclass(frozen=True)
+class DiscoverOptions:
+    """Options of a search for what is missing.
+
+    Attributes:
+        seed: of all random draws.
+        settings: thresholds of the search; those for the plant where absent.
+        store: file that keeps the fits, so that an interrupted search can go on; None keeps nothing.
+        key: content of `store` is used only if it was made with the same key.
+        stages: of the pipeline; others, or these with more between, may stand in their place.
+        limit: after which no more sets of effects are fitted; the answer says which were not, and is `partial` at best.
+    """
+
+    seed: int = 0
+    settings: SearchSettings | None = None
+    store: Path | None = None
+    key: str = ""
+    stages: Sequence[Callable[[Any], Any]] = STAGES
+    limit: TimeLimit | None = None
+
+
 @threadpool_limits.wrap(limits=1, user_api="blas")  # the cores have runs to simulate; and numbers do not depend on how many there are
 def discover(
-    dataset: RunSet, plant: SearchablePlant, noise: float | np.ndarray, seed: int = 0, store: Path | None = None, key: str = "",
-    settings: SearchSettings | None = None, progress: Progress = silent, stages: Sequence[Callable[[Any], Any]] = STAGES,
-    baseline: Baseline | None = None, limit: TimeLimit | None = None,
+    dataset: RunSet, plant: SearchablePlant, noise: float | np.ndarray, baseline: Baseline | None = None,
+    options: DiscoverOptions | None = None, progress: Progress = silent,
 ) -> Discovery:  # fmt: skip
     """Explain the gap between a model and a data set.
 
@@ -80,24 +100,20 @@ def discover(
         dataset: checked data.
         plant: the model, with the effects that may be missing at their null values.
         noise: of the measurements, 1 sigma per axis in m, or of each point, (points, 1).
-        seed: of all random draws.
-        store: file that keeps the fits, so that an interrupted search can go on; None keeps nothing.
-        key: content of `store` is used only if it was made with the same key.
-        settings: thresholds of the search.
-        progress: told of every piece of work.
-        stages: of the pipeline; others, or these with more between, may stand in their place.
         baseline: an earlier recording of the machine (`learn_baseline`); the answer then tells what changed since.
-        limit: after which no more sets of effects are fitted; the answer says which were not, and is `partial` at best.
+        options: seed, thresholds, limit and stages of the search, and where it keeps its fits.
+        progress: told of every piece of work.
 
     Raises:
         InputError: no run to fit to, or the model cannot do the runs.
     """
-    began = time.monotonic()
+    began, options = time.monotonic(), options or DiscoverOptions()
     require_fit_runs(dataset)
-    settings = settings or SearchSettings.for_plant(plant)
+    settings, stages = options.settings or SearchSettings.for_plant(plant), options.stages
     if baseline is not None:
         plant, settings = plant.with_values(baseline.values), baseline.adapt(settings, dataset.fit)
-    question = Question(dataset, plant, noise, settings, seed, store, key, progress, baseline=baseline, limit=limit or TimeLimit())
+    limit = options.limit or TimeLimit()
+    question = Question(dataset, plant, noise, settings, options.seed, options.store, options.key, progress, baseline=baseline, limit=limit)
     found = run_stages(question, stages)
     if found.verdict.status is VerdictStatus.UNEXPLAINED and settings.drop_beginnings and not plant.static:
         found = _without_beginnings(question, found, stages)

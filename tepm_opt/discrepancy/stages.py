@@ -15,7 +15,7 @@ import numpy as np
 from tepm_opt.data.outliers import without_strays
 from tepm_opt.discrepancy.assessment.calibration import calibrate_judgement
 from tepm_opt.discrepancy.assessment.constancy import SegmentSizes, active_runs, effect_size_by_segment
-from tepm_opt.discrepancy.assessment.credibility import Judgement, alternative_law_odds
+from tepm_opt.discrepancy.assessment.credibility import EffectChecks, Judgement, alternative_law_odds
 from tepm_opt.discrepancy.assessment.credibility import assess as assess_effects
 from tepm_opt.discrepancy.assessment.result import Errors, VerdictStatus, reduces_validation_error
 from tepm_opt.discrepancy.assessment.settings import DEFAULT as ASSESSMENT
@@ -42,9 +42,9 @@ from tepm_opt.discrepancy.selection.forward_backward import explain
 from tepm_opt.discrepancy.selection.linearised import linearise
 from tepm_opt.discrepancy.setup.check import find_setup_errors
 from tepm_opt.discrepancy.state import Assessed, Discovery, Prepared, Question, Recalibrated, Screened, Selected, Validated
-from tepm_opt.solvers.identify import Problem, identify
-from tepm_opt.solvers.residuals import independent_after
-from tepm_opt.solvers.start import with_estimated_initial_state
+from tepm_opt.solvers.identification.identify import Problem, identify
+from tepm_opt.solvers.identification.initial_state import with_estimated_initial_state
+from tepm_opt.solvers.identification.residuals import independent_after
 
 
 def check_setup(state: Question) -> Question:
@@ -161,8 +161,8 @@ def _leave_out_absent(state: Selected, compared: Comparison, errors: Errors) -> 
 def assess(state: Validated) -> Assessed:
     """Weigh every selected effect; drop all of them where a clock or something unknown is the likelier cause."""
     explanation, settings = state.explanation, state.settings
-    laws, unseen = alternative_law_odds(explanation, settings, state.seed), bool(state.dataset.validation)
-    judgement = assess_effects(explanation, state.errors, settings, unseen, laws, _constancy(state), state.plant.modules)
+    checks = EffectChecks(alternative_law_odds(explanation, settings, state.seed), _constancy(state))
+    judgement = assess_effects(explanation, state.errors if state.dataset.validation else None, settings, checks, state.plant.modules)
     if state.baseline is not None:
         judgement = judge_change(judgement, explanation, settings, state.baseline, state.dataset.fit)
     judgement = _limit(judgement, state.limit, settings)

@@ -24,8 +24,8 @@ from tepm_opt.discrepancy.selection.forward_backward import Explanation
 from tepm_opt.discrepancy.setup.errors import SetupError
 from tepm_opt.discrepancy.symbolic.invent import Invention
 from tepm_opt.progress import Progress, silent
-from tepm_opt.solvers.identify import ParameterEstimate, Problem
-from tepm_opt.solvers.text import shorten
+from tepm_opt.solvers.identification.identify import ParameterEstimate, Problem
+from tepm_opt.solvers.numerics.text import shorten
 
 
 @dataclass(frozen=True, eq=False)

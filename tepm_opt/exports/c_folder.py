@@ -20,7 +20,7 @@ from tepm_opt.models.backends.ccode import Unit
 from tepm_opt.models.backends.compiled import STATICS, statics_unit, stepping_alone_unit
 from tepm_opt.models.backends.interface import MAX_CORRECTION
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.statics import DEFAULT
+from tepm_opt.solvers.mechanics.statics import DEFAULT
 
 FILES = ("robot.h", "robot_sizes.h", "robot_statics.c", "robot_motion.c", "example.c", "inputs.txt", "CMakeLists.txt")
 """Files of the folder: declarations, sizes and names, the code, an example with its input, a CMake file."""

@@ -22,8 +22,8 @@ from tepm_opt.models.layout import VERTICAL, Layout
 from tepm_opt.models.model import Model
 from tepm_opt.models.network import write_network
 from tepm_opt.models.symbols import RAIL, SOFT, Writer
-from tepm_opt.solvers.simulate import stable_step
-from tepm_opt.solvers.statics import solve_statics
+from tepm_opt.solvers.mechanics.statics import solve_statics
+from tepm_opt.solvers.mechanics.step_limit import stable_step
 
 STEP = 0.6
 """Time step over the largest at which RK4 is stable at rest: more pressure makes the robot stiffer."""

@@ -19,7 +19,7 @@ from tepm_opt.models.compile import compile_model
 from tepm_opt.models.model import Model
 from tepm_opt.outcome import Ending
 from tepm_opt.progress import Progress, silent
-from tepm_opt.solvers.trajectories import Trajectory
+from tepm_opt.solvers.planning.trajectories import Trajectory
 
 LOOK = 0.2  # s between looks at how far the processes are
 

@@ -15,8 +15,8 @@ from tepm_opt.control.references.time_optimal import PaceSettings, retime
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.progress import Progress, silent
-from tepm_opt.solvers.kinematics import IkSettings
-from tepm_opt.solvers.trajectories import Trajectory
+from tepm_opt.solvers.kinematics.ik import IkSettings
+from tepm_opt.solvers.planning.trajectories import Trajectory
 
 AT_REST = 0.05  # of a path's largest speed, below which its ends are at rest
 AT_ONCE = 1e-6  # s

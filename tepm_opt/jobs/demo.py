@@ -20,9 +20,9 @@ from tepm_opt.jobs.output import save_summary
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent
-from tepm_opt.solvers.choices import ActuationMode
-from tepm_opt.solvers.sized import path_for
-from tepm_opt.solvers.trajectories import Trajectory
+from tepm_opt.solvers.kinematics.actuation_mode import ActuationMode
+from tepm_opt.solvers.planning.scaled_paths import path_for
+from tepm_opt.solvers.planning.trajectories import Trajectory
 
 CONTROLLERS = (DEFAULT, "mode2", "mode1")  # the one that takes longest first
 NAMES = {name: find_controller(name).title for name in reversed(CONTROLLERS)}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from tepm_opt.data.trials import Trials, read_trials
 from tepm_opt.discrepancy.adapters.cost import measure_cost
 from tepm_opt.discrepancy.adapters.network import SearchableNetwork
 from tepm_opt.discrepancy.assessment.result import VerdictStatus
-from tepm_opt.discrepancy.pipeline import discover, require_fit_runs
+from tepm_opt.discrepancy.pipeline import DiscoverOptions, discover, require_fit_runs
 from tepm_opt.discrepancy.problem.plant import SearchablePlant
 from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.problem.time_limit import TimeLimit
@@ -40,7 +40,7 @@ from tepm_opt.models.channels import channels_of, read
 from tepm_opt.models.effect_files import loaded_effects, loaded_files
 from tepm_opt.models.model import Model, read_model, write_model
 from tepm_opt.progress import Progress, silent
-from tepm_opt.solvers.plant import PredictionError
+from tepm_opt.solvers.mechanics.plant import PredictionError
 
 VERDICT, FITS, EFFECTS = "verdict.json", ".fits.json", "effects"
 
@@ -75,10 +75,33 @@ def _of_whole_setup(errors: Sequence[Finding], runs: int) -> bool:
     return all(f.is_setup for f in errors) and all(2 * len(those) > runs for those in files.values())
 
 
+@dataclass(frozen=True)
+class DiscrepancyOptions:
+    """Options of an explanation of a data set.
+
+    Attributes:
+        seed: of all random draws.
+        despite_errors: whether to go on where the check of the data finds errors.
+        invent: whether to seek a law where no known effect explains what is left; its effect file, page and model go into `effects`.
+        add: data sets of the same machine that were recorded later, see `concatenate_datasets`.
+        mend: whether to write the data without their set-up errors into `mended`.
+        baseline: an earlier data set of the same machine: the answer tells what changed since; what it says of the parameters and of the
+            model's error goes into `baseline.json`. Or such a file, so that nothing is learned anew.
+        minutes: that the search may take; None for no limit. What was fitted is kept then, and the same command goes on from there.
+    """
+
+    seed: int = 0
+    despite_errors: bool = False
+    invent: bool = False
+    add: Sequence[str | Path] = ()
+    mend: bool = False
+    baseline: str | Path | None = None
+    minutes: float | None = None
+
+
 def run_discrepancy(
-    folder: str | Path, out: str | Path, model: str | Path | None = None, seed: int = 0, despite_errors: bool = False,
-    progress: Progress = silent, plant: str | Path | None = None, invent: bool = False, add: Sequence[str | Path] = (), mend: bool = False,
-    baseline: str | Path | None = None, minutes: float | None = None,
+    folder: str | Path, out: str | Path, model: str | Path | None = None, plant: str | Path | None = None,
+    options: DiscrepancyOptions | None = None, progress: Progress = silent,
 ) -> Discovery:  # fmt: skip
     """Explain a data set; write `verdict.json` and `model.toml` into a folder, or `values.json` where a plant file gives the machine.
 
@@ -88,30 +111,26 @@ def run_discrepancy(
         folder: data set.
         out: for the results.
         model: model file; the robot that the data set names where absent.
-        seed: of all random draws.
-        despite_errors: whether to go on where the check of the data finds errors.
-        progress: told of every piece of work.
         plant: Python file of another machine, which the data set is of.
-        invent: whether to seek a law where no known effect explains what is left; its effect file, page and model go into `effects`.
-        add: data sets of the same machine that were recorded later, see `concatenate_datasets`.
-        mend: whether to write the data without their set-up errors into `mended`.
-        baseline: an earlier data set of the same machine: the answer tells what changed since; what it says of the parameters and of the
-            model's error goes into `baseline.json`. Or such a file, so that nothing is learned anew.
-        minutes: that the search may take; None for no limit. What was fitted is kept then, and the same command goes on from there.
+        options: of the search.
+        progress: told of every piece of work.
 
     Raises:
         InputError: data or model cannot be used; the message says why.
     """
-    folder, out, limit, earlier = Path(folder), Path(out), _time_limit(minutes), Path(baseline) if baseline else None
-    if plant is not None and add:
+    folder, out, options = Path(folder), Path(out), options or DiscrepancyOptions()
+    limit, earlier = _time_limit(options.minutes), Path(options.baseline) if options.baseline else None
+    if plant is not None and options.add:
         raise InputError("--add and --plant exclude each other; valid: data sets of a robot")
-    if plant is not None and mend:
+    if plant is not None and options.mend:
         raise InputError("--mend and --plant exclude each other; valid: data sets of a robot")
     if plant is not None:
-        return _explain_plant(Asked(folder, out, plant=Path(plant), baseline=earlier), Path(plant), seed, limit, progress)
-    own = Path(model) if model else None
-    asked = Asked(folder, out, own, None, tuple(map(Path, add)), invent, despite_errors, loaded_files(), mend, earlier)
-    return _explain_robot(asked, seed, limit, progress)
+        return _explain_plant(Asked(folder, out, plant=Path(plant), baseline=earlier), Path(plant), options.seed, limit, progress)
+    asked = Asked(
+        folder, out, Path(model) if model else None, add=tuple(map(Path, options.add)), invent=options.invent,
+        despite_errors=options.despite_errors, effects=loaded_files(), mend=options.mend, baseline=earlier,
+    )  # fmt: skip
+    return _explain_robot(asked, options.seed, limit, progress)
 
 
 def _explain_robot(asked: Asked, seed: int, limit: TimeLimit, progress: Progress) -> Discovery:
@@ -142,7 +161,8 @@ def _explain_robot(asked: Asked, seed: int, limit: TimeLimit, progress: Progress
         warnings = [*warnings, *more_warnings]
         question = Question(old, network, noise_of(old), SearchSettings.for_plant(network), seed, progress=progress)
         earlier, key = source.learn(question, machine, out), fingerprint([source.folder], key)
-    result = discover(dataset, network, noise, seed, out / FITS, key, None, progress, baseline=earlier, limit=limit)
+    options = DiscoverOptions(seed, store=out / FITS, key=key, limit=limit)
+    result = discover(dataset, network, noise, earlier, options, progress)
     if not result.verdict.setup:
         checked_datasets(folders, asked.despite_errors)  # refuses errors of the set-up that the workflow did not find
     write_model(result.verdict.model, out / MODEL)
@@ -181,7 +201,8 @@ def _explain_plant(asked: Asked, file: Path, seed: int, limit: TimeLimit, progre
         old = read_trials(source.folder, plant.signals, plant.static)
         question = Question(old, plant, _noise(old, plant), SearchSettings.for_plant(plant), seed, progress=progress)
         earlier, key = source.learn(question, machine, out), fingerprint([source.folder], key)
-    result = discover(dataset, plant, _noise(dataset, plant), seed, out / FITS, key, None, progress, baseline=earlier, limit=limit)
+    options = DiscoverOptions(seed, store=out / FITS, key=key, limit=limit)
+    result = discover(dataset, plant, _noise(dataset, plant), earlier, options, progress)
     write_atomically(out / VALUES, json.dumps(result.verdict.model, indent=2) + "\n")
     result = add_advice(result, replace(asked, ended_early=limit.was_short))
     _write(result, out, [], limit)

@@ -26,7 +26,7 @@ from tepm_opt.recording.patterns import PatternContext
 from tepm_opt.recording.plan import PlannedRun, RecordingPlan
 from tepm_opt.recording.reach import Reach, reach_of, unbearable
 from tepm_opt.recording.standard import PLANS, PlannedPattern, plan_text, sample_rate
-from tepm_opt.solvers.plant import PredictionError
+from tepm_opt.solvers.mechanics.plant import PredictionError
 
 SHARES = (1.0, 0.8, 0.6, 0.45, 0.3)
 """Factors on the levels of a plan, tried one after the other until the model bears all runs."""

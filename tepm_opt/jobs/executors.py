@@ -13,7 +13,7 @@ from typing import TypeVar
 from tepm_opt.errors import InputError
 from tepm_opt.jobs.output import collect
 from tepm_opt.progress import Progress, silent, track
-from tepm_opt.solvers.parallel import cores, each_done
+from tepm_opt.solvers.numerics.parallel import cores, each_done
 
 PATIENCE = 10.0  # s until a scheduler has to answer
 Item = TypeVar("Item")

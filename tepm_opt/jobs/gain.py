@@ -20,7 +20,7 @@ from tepm_opt.jobs.statics import StaticsRun, run_statics
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Outcome
 from tepm_opt.progress import Progress, silent
-from tepm_opt.solvers.gain import Actuation, Curve, Gain, WorkspaceMap, input_curve, solve_gain, workspace_map
+from tepm_opt.solvers.linear.gain import Actuation, Curve, Gain, WorkspaceMap, input_curve, solve_gain, workspace_map
 
 INTERVALS = {"10–20 %": (0.10, 0.20), "45–55 %": (0.45, 0.55)}
 MAP = "gain_map.csv"

@@ -30,12 +30,12 @@ from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.model import write_model
 from tepm_opt.outcome import Outcome
 from tepm_opt.progress import Progress, silent
-from tepm_opt.solvers.identify import ParameterEstimate, Problem
-from tepm_opt.solvers.network_plant import NetworkPlant, free_parameters
-from tepm_opt.solvers.plant import Plant, PredictionError
-from tepm_opt.solvers.prior import JointPrior
-from tepm_opt.solvers.start import predictions
-from tepm_opt.solvers.uncertainty import multi_start, profile, unidentifiable
+from tepm_opt.solvers.identification.identify import ParameterEstimate, Problem
+from tepm_opt.solvers.identification.initial_state import predictions
+from tepm_opt.solvers.identification.prior import JointPrior
+from tepm_opt.solvers.identification.uncertainty import multi_start, profile, unidentifiable
+from tepm_opt.solvers.mechanics.network_plant import NetworkPlant, free_parameters
+from tepm_opt.solvers.mechanics.plant import Plant, PredictionError
 
 SUMMARY, POSTERIOR = "identified.json", "posterior.json"
 FAR = 1.5  # times the noise from which on residuals hold what no parameter explains

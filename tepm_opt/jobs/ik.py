@@ -17,10 +17,10 @@ from tepm_opt.jobs.output import collect, endings, outcome_of, save_shapes, save
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent, track
-from tepm_opt.solvers.choices import ActuationMode
-from tepm_opt.solvers.kinematics import Configuration, IkSettings, each_configuration
-from tepm_opt.solvers.statics import Equilibrium, solve_statics
-from tepm_opt.solvers.trajectories import Trajectory
+from tepm_opt.solvers.kinematics.actuation_mode import ActuationMode
+from tepm_opt.solvers.kinematics.ik import Configuration, IkSettings, each_configuration
+from tepm_opt.solvers.mechanics.statics import Equilibrium, solve_statics
+from tepm_opt.solvers.planning.trajectories import Trajectory
 
 SAME = 1e-6  # m, tips closer than this belong to the same equilibrium
 DEFAULT = IkSettings()

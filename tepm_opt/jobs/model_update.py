@@ -14,17 +14,17 @@ from tepm_opt.discrepancy.assessment.result import VerdictStatus
 from tepm_opt.errors import InputError
 from tepm_opt.jobs.closed_loop import LoopSetup
 from tepm_opt.jobs.course import Course, whole_reference
-from tepm_opt.jobs.discrepancy import MODEL, VERDICT, run_discrepancy
+from tepm_opt.jobs.discrepancy import MODEL, VERDICT, DiscrepancyOptions, run_discrepancy
 from tepm_opt.jobs.excite import standard
 from tepm_opt.jobs.mpc import run_closed_loop
-from tepm_opt.jobs.next_run import run_next
+from tepm_opt.jobs.next_run import NextRunOptions, run_next
 from tepm_opt.jobs.output import save_summary
 from tepm_opt.jobs.record import Ask, RigSource, record
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.model import Model, read_model, write_model
 from tepm_opt.progress import Progress, silent
 from tepm_opt.recording.plan import RecordingPlan, read_plan
-from tepm_opt.solvers.trajectories import Trajectory
+from tepm_opt.solvers.planning.trajectories import Trajectory
 
 JOB, DATA, FOUND, NEXT, SUMMARY = "close", "data", "found", "next", "summary.json"
 KNOWN = "known.toml"
@@ -134,7 +134,8 @@ def run_model_update(
         proposed, more = out / f"{NEXT}_{number}.toml", out / f"{NEXT}_{number}"
         if not proposed.is_file():
             try:
-                run_next(out / f"{FOUND}_{number - 1}", seed=seed, loads=False, data=folders, progress=progress).save(proposed)
+                found = run_next(out / f"{FOUND}_{number - 1}", NextRunOptions(seed=seed, loads=False), folders, progress=progress)
+                found.save(proposed)
             except InputError:  # no run tells them apart
                 break
         record(read_plan(proposed), more, rig, seed, progress, ask)
@@ -167,5 +168,5 @@ def _verdict(out: Path, number: int, folders: Sequence[Path], seed: int, progres
     """
     folder = out / f"{FOUND}_{number}"
     if not (folder / VERDICT).is_file():
-        run_discrepancy(folders[0], folder, out / KNOWN, seed, progress=progress, add=folders[1:])
+        run_discrepancy(folders[0], folder, out / KNOWN, options=DiscrepancyOptions(seed, add=folders[1:]), progress=progress)
     return json.loads(read_text(folder / VERDICT))

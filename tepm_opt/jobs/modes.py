@@ -19,11 +19,11 @@ from tepm_opt.jobs.output import save_summary
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Outcome
 from tepm_opt.progress import Progress, silent
-from tepm_opt.solvers.linear import Linear, linearise
-from tepm_opt.solvers.modes import Mode, modes
-from tepm_opt.solvers.reduction import Reduced, balanced_reduction
-from tepm_opt.solvers.simulate import stable_step
-from tepm_opt.solvers.statics import Equilibrium
+from tepm_opt.solvers.linear.modes import Mode, modes
+from tepm_opt.solvers.linear.reduction import Reduced, balanced_reduction
+from tepm_opt.solvers.linear.state_space import Linear, linearise
+from tepm_opt.solvers.mechanics.statics import Equilibrium
+from tepm_opt.solvers.mechanics.step_limit import stable_step
 
 MOVED = 5e-5  # m at the tip by an input's whole range: less does not count as driven
 TOLERANCE = 1e-3  # m per range: bound of the reduced system where no order is given

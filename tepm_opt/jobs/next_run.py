@@ -33,10 +33,10 @@ from tepm_opt.recording.plan import PlannedRun
 from tepm_opt.recording.probing import draw_pattern, random_run, vary_pattern
 from tepm_opt.recording.reach import Reach, reach_of, unbearable
 from tepm_opt.recording.standard import PlannedPattern, plan_text
-from tepm_opt.solvers.identify import ParameterEstimate, Problem
-from tepm_opt.solvers.network_plant import NetworkPlant
-from tepm_opt.solvers.plant import PredictionError
-from tepm_opt.solvers.predict import LONGEST_STEP
+from tepm_opt.solvers.identification.identify import ParameterEstimate, Problem
+from tepm_opt.solvers.mechanics.network_plant import NetworkPlant
+from tepm_opt.solvers.mechanics.plant import PredictionError
+from tepm_opt.solvers.mechanics.predict import LONGEST_STEP
 
 DRAWS, ROUNDS, KEPT, NEAR = 20, 2, 2, 4
 """Runs that are drawn; rounds of variation after them, the best runs that are varied in each, and how often."""
@@ -228,17 +228,30 @@ class NextRun:
         write_atomically(path, text)
 
 
+@dataclass(frozen=True)
+class NextRunOptions:
+    """Options of a proposed run.
+
+    Attributes:
+        seconds: its length.
+        seed: of what is drawn.
+        loads: whether a known constant force may act on the tip.
+    """
+
+    seconds: float = 30.0
+    seed: int = 0
+    loads: bool = True
+
+
 def run_next(
-    found: str | Path, seconds: float = 30.0, seed: int = 0, loads: bool = True, data: Sequence[str | Path] = (),
-    despite_errors: bool = False, progress: Progress = silent,
+    found: str | Path, options: NextRunOptions | None = None, data: Sequence[str | Path] = (), despite_errors: bool = False,
+    progress: Progress = silent,
 ) -> NextRun:  # fmt: skip
     """Propose the run that best separates what `tepm discrepancy` could not.
 
     Args:
         found: folder with its verdict.json and model.toml.
-        seconds: length of the run.
-        seed: of what is drawn.
-        loads: whether a known constant force may act on the tip.
+        options: of the run.
         data: data sets that the verdict is about, the first one first; where verdict.json says absent.
         despite_errors: whether to go on where the check of the data finds errors.
         progress: told of every piece of work.
@@ -246,9 +259,9 @@ def run_next(
     Raises:
         InputError: no verdict, data that are gone, nothing to tell apart, a length that is not valid.
     """
-    found = Path(found)
-    if not SHORTEST <= seconds <= LONGEST:
-        raise InputError(f"--seconds {seconds:g}; valid: {SHORTEST:g} … {LONGEST:g} s")
+    found, options = Path(found), options or NextRunOptions()
+    if not SHORTEST <= options.seconds <= LONGEST:
+        raise InputError(f"--seconds {options.seconds:g}; valid: {SHORTEST:g} … {LONGEST:g} s")
     content = read_verdict(found)
     folders = [Path(each) for each in data] or [found / each for each in content.get("data", [])]
     if not folders:
@@ -267,10 +280,10 @@ def run_next(
     )
     fits = Fits(problem, SearchSettings.for_plant(network), progress=progress)
     hypotheses = refit_hypotheses(content, _find_corrections(found, known, network), fits, network.candidates)
-    rig = Rig(known, reach_of(compile_model(known)), dataset.sample_rate, noise, seconds, loads)
+    rig = Rig(known, reach_of(compile_model(known)), dataset.sample_rate, noise, options.seconds, options.loads)
     estimates = [hypothesis.estimate for hypothesis in hypotheses]
-    best = best_run(rig, estimates, seed, progress)
-    return NextRun(tuple(hypotheses), best, any_run(rig, estimates, seed), rig, dataset)
+    best = best_run(rig, estimates, options.seed, progress)
+    return NextRun(tuple(hypotheses), best, any_run(rig, estimates, options.seed), rig, dataset)
 
 
 def _find_corrections(folder: Path, known: Model, network: SearchableNetwork) -> set[str]:

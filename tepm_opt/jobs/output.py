@@ -17,7 +17,7 @@ from tepm_opt.data.files import write_atomically
 from tepm_opt.data.setpoints import FORCE_COLUMNS, SetPoints, input_columns, length_columns, point_columns
 from tepm_opt.data.tables import write_table
 from tepm_opt.outcome import Ending, Outcome
-from tepm_opt.solvers.statics import Equilibrium
+from tepm_opt.solvers.mechanics.statics import Equilibrium
 
 Item = TypeVar("Item")
 

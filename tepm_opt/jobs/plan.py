@@ -18,12 +18,12 @@ from tepm_opt.jobs.output import save_summary
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Outcome
 from tepm_opt.progress import Progress, silent
-from tepm_opt.solvers.choices import Objective
+from tepm_opt.solvers.mechanics.statics import solve_statics
+from tepm_opt.solvers.planning.objective import Objective
 from tepm_opt.solvers.planning.plan import PlanSettings, plan_move, plan_path
 from tepm_opt.solvers.planning.program import Obstacle, distance
 from tepm_opt.solvers.planning.result import MotionPlan
-from tepm_opt.solvers.statics import solve_statics
-from tepm_opt.solvers.trajectories import Trajectory
+from tepm_opt.solvers.planning.trajectories import Trajectory
 
 INPUTS, REFERENCE = "inputs.csv", "reference.csv"
 DEFAULT = PlanSettings()

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from tepm_opt.control.loop import Guard
 from tepm_opt.control.references.iterative_learning import DEFAULT, Learner, LearningSettings
 from tepm_opt.control.references.reference import Reference, reference_of
 from tepm_opt.data.files import output_folder
@@ -22,7 +21,7 @@ from tepm_opt.jobs.output import save_summary
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Outcome
 from tepm_opt.progress import Progress, silent
-from tepm_opt.solvers.kinematics import IkSettings
+from tepm_opt.solvers.kinematics.ik import IkSettings
 
 LEARNED = "learned.csv"
 COLUMNS = ("time_s", "x_m", "y_m", "z_m")
@@ -106,24 +105,38 @@ def read_correction(path: str | Path) -> np.ndarray:
     return np.column_stack([table.column(name) for name in COLUMNS[1:]])
 
 
+@dataclass(frozen=True, eq=False)
+class RoundsTask:
+    """A path to be driven some times, and learned.
+
+    Attributes:
+        reference: the path, see `whole_reference`.
+        setup: names what runs.
+        rounds: how many.
+        learned: what is known of this path from before, (periods, 3) in m.
+        kinematics: settings of the inverse kinematics.
+        settings: how it learns.
+    """
+
+    reference: Reference
+    setup: LoopSetup
+    rounds: int
+    learned: np.ndarray | None = None
+    kinematics: IkSettings = IK_DEFAULT
+    settings: LearningSettings = DEFAULT
+
+
 def run_rounds(
-    model: CompiledModel, reference: Reference, rig: Callable[[int], Rig], setup: LoopSetup, rounds: int,
-    folder: str | Path | None = None, learned: np.ndarray | None = None, kinematics: IkSettings = IK_DEFAULT,
-    settings: LearningSettings = DEFAULT, guard: Guard | None = None, progress: Progress = silent, observer: Observer | None = None,
+    model: CompiledModel, task: RoundsTask, rig: Callable[[int], Rig], folder: str | Path | None = None, progress: Progress = silent,
+    observer: Observer | None = None,
 ) -> RoundsRun:  # fmt: skip
     """Drive a path some times, and learn; a round that ends early is the last one. What was learned is written after every round.
 
     Args:
         model: the controller's.
-        reference: the path, see `whole_reference`.
+        task: path, controller and rounds.
         rig: opens the rig of a round, by its number from 0.
-        setup: names what runs.
-        rounds: how many.
         folder: for the results, with a folder round_1, round_2 … for each; None writes nothing.
-        learned: what is known of this path from before, (periods, 3) in m.
-        kinematics: settings of the inverse kinematics.
-        settings: how it learns.
-        guard: when to stop.
         progress: told the stage and how much of it is done.
         observer: given every sample with what was commanded then and the tip's target.
 
@@ -131,13 +144,14 @@ def run_rounds(
         InputError: see `run_closed_loop`; `learned` is of another path.
         RuntimeError, OSError: the rig failed before the loop was closed.
     """
+    reference, rounds = task.reference, task.rounds
     if rounds < 1:
         raise InputError(f"rounds: {rounds}; valid: from 1")
-    learner, loops = Learner(reference.path, reference.period, settings, learned), list[ClosedLoop]()
+    learner, loops = Learner(reference.path, reference.period, task.settings, task.learned), list[ClosedLoop]()
     for number in range(rounds):
-        target = _correct_reference(model, reference, learner, kinematics, progress)
+        target = _correct_reference(model, reference, learner, task.kinematics, progress)
         place = None if folder is None else Path(folder) / f"round_{number + 1}"
-        loop = run_closed_loop(model, target, rig(number), setup, place, guard, progress, observer)
+        loop = run_closed_loop(model, target, rig(number), task.setup, place, progress=progress, observer=observer)
         loops.append(loop)
         if loop.ok:
             learner.learn(np.round(loop.time / reference.period).astype(int), loop.points[:, -1], loop.counted)

@@ -24,7 +24,7 @@ from tepm_opt.jobs.output import save_summary
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent
-from tepm_opt.solvers.simulate import Directions, Method, Simulation, simulate
+from tepm_opt.solvers.mechanics.simulate import Directions, Method, Simulation, simulate
 
 DENSE = 0.04  # s between two kept instants
 MOST_ADDED = 20000  # instants between the rows

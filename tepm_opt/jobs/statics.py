@@ -16,7 +16,7 @@ from tepm_opt.jobs.output import collect, endings, outcome_of, save_shapes, save
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Outcome
 from tepm_opt.progress import Progress, silent, track
-from tepm_opt.solvers.statics import Equilibrium, solve_statics, without_inputs
+from tepm_opt.solvers.mechanics.statics import Equilibrium, solve_statics, without_inputs
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,7 +32,7 @@ class Parameter:
         low, high: the values that make physical sense; others are refused.
         change: of a shape parameter that is 0 at its null, a small but visible change.
         finer: of a shape parameter that is not 0 at its null, whether it only shapes what refines the effect.
-        spread: group of alike parameters that scatter about their null values with a spread of their own (see `solvers.hierarchy`).
+        spread: group of alike parameters that scatter about their null values with a spread of their own (see `identification.hierarchy`).
     """
 
     name: str

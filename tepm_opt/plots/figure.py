@@ -10,8 +10,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from tepm_opt.data.files import atomic_path
-from tepm_opt.solvers.backbone import backbone
-from tepm_opt.solvers.statics import Equilibrium
+from tepm_opt.solvers.kinematics.backbone import backbone
+from tepm_opt.solvers.mechanics.statics import Equilibrium
 
 STYLE = {"dpi": 130, "layout": "constrained"}
 

@@ -22,7 +22,7 @@ from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.plots.palette import GOOD
 from tepm_opt.plots.scene import COLOURS, EDGE, FLOOR, HEIGHT, PLATE, RING, WIDTH, Scene
 from tepm_opt.progress import Progress, silent
-from tepm_opt.solvers.simulate import Simulation
+from tepm_opt.solvers.mechanics.simulate import Simulation
 
 Kind = Literal["mp4", "gif", "none"]
 KINDS: tuple[Kind, ...] = ("mp4", "gif", "none")

@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 from tepm_opt.jobs.gain import GainRun
 from tepm_opt.plots.figure import STYLE
 from tepm_opt.plots.palette import INPUTS
-from tepm_opt.solvers.gain import Actuation, Curve, WorkspaceMap
+from tepm_opt.solvers.linear.gain import Actuation, Curve, WorkspaceMap
 
 MOVES: tuple[tuple[Actuation, str], ...] = (("pressure", "pressures"), ("tension", "tensions"))
 """Kinds of maps, and what moves the tip in them."""

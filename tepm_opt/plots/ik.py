@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator
 from tepm_opt.jobs.ik import IkRun
 from tepm_opt.plots.figure import STYLE, backbone_mm
 from tepm_opt.plots.palette import BAD, GOOD, ROBOT, TARGET, channel
-from tepm_opt.solvers.choices import ActuationMode
+from tepm_opt.solvers.kinematics.actuation_mode import ActuationMode
 
 SMALLEST_SPAN = 50.0  # mm, half of the least axis of the 3-D view
 

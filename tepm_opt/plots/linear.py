@@ -13,9 +13,9 @@ from matplotlib.ticker import MaxNLocator, MultipleLocator
 from tepm_opt.jobs.modes import ModesRun
 from tepm_opt.plots.figure import STYLE
 from tepm_opt.plots.palette import AXES, MEASURED, ROBOT, Role, actuator
-from tepm_opt.solvers.linear import System
-from tepm_opt.solvers.modes import Mode, direction_in_words
-from tepm_opt.solvers.reduction import Reduced
+from tepm_opt.solvers.linear.modes import Mode, direction_in_words
+from tepm_opt.solvers.linear.reduction import Reduced
+from tepm_opt.solvers.linear.state_space import Linear
 
 SHOWN = 6  # mode shapes in a figure
 SWING = 0.06  # m a node goes at most in the drawing
@@ -92,7 +92,7 @@ def _visible(values: np.ndarray) -> list[int]:
     return [int(k) for k in np.flatnonzero(size > SEEN * size.max())] if size.max() > 0 else []
 
 
-def _style(system: System, output: int) -> dict[str, str]:
+def _style(system: Linear, output: int) -> dict[str, str]:
     """Colour by axis where there are axes to tell apart, else in turn."""
     name = system.outputs[output]
     point, _, axis = name.rpartition("_")
@@ -101,7 +101,7 @@ def _style(system: System, output: int) -> dict[str, str]:
     return {"color": role.color, "label": name}
 
 
-def bode_figure(system: System, title: str, count: int = 500) -> Figure:
+def bode_figure(system: Linear, title: str, count: int = 500) -> Figure:
     """Amplitude and phase of the outputs by every input, a column each, from 0.05 to 100 Hz; the delay is exact."""
     frequencies = np.geomspace(0.05, 100.0, count)
     values = 1e3 * system.response(frequencies)
@@ -146,7 +146,7 @@ def _finish(figure: Figure, title: str) -> None:
     figure.suptitle(title)
 
 
-def step_figure(system: System, reduced: Reduced, duration: float, title: str, part: float = 0.01, count: int = 1001) -> Figure:
+def step_figure(system: Linear, reduced: Reduced, duration: float, title: str, part: float = 0.01, count: int = 1001) -> Figure:
     """Outputs of the full and the reduced system after a step of every input, by python-control.
 
     Args:

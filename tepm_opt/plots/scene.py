@@ -16,7 +16,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from tepm_opt.plots.palette import GOOD
-from tepm_opt.solvers.simulate import Simulation
+from tepm_opt.solvers.mechanics.simulate import Simulation
 
 WIDTH, HEIGHT, DPI = 720, 640, 100  # pixels; both even, as films need
 COLOURS = colormaps["viridis_r"].resampled(48)

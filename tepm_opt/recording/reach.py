@@ -10,10 +10,10 @@ import numpy as np
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.linear import linearise
-from tepm_opt.solvers.modes import modes
-from tepm_opt.solvers.simulate import SimulationError, simulate
-from tepm_opt.solvers.statics import Equilibrium, solve_statics
+from tepm_opt.solvers.linear.modes import modes
+from tepm_opt.solvers.linear.state_space import linearise
+from tepm_opt.solvers.mechanics.simulate import SimulationError, simulate
+from tepm_opt.solvers.mechanics.statics import Equilibrium, solve_statics
 
 STRETCH, BEND, PULL, PUSH = 0.17, 0.4, 0.27, 0.25  # of the arm's length: how far the tip goes by pressures, one alone, a tension, a force
 MOST_COMMON, MOST_ALONE, MOST_TENSION = 0.7, 0.36, 0.72  # of the limits: beyond that nothing more is learnt

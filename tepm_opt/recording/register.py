@@ -16,7 +16,7 @@ from tepm_opt.models.compile import compile_model
 from tepm_opt.models.robot import Mount, Robot
 from tepm_opt.progress import Progress, silent
 from tepm_opt.recording.drive import Driver
-from tepm_opt.solvers.statics import solve_statics
+from tepm_opt.solvers.mechanics.statics import solve_statics
 
 FEWEST = 5
 """Poses of a sensor that make a mean."""

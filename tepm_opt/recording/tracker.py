@@ -18,7 +18,7 @@ from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.robot import Robot
 from tepm_opt.progress import Progress, silent
 from tepm_opt.recording.drive import Driver
-from tepm_opt.solvers.simulate import simulate
+from tepm_opt.solvers.mechanics.simulate import simulate
 
 PERIODS_S, CYCLES = (4.0, 2.5, 1.6), 3
 """Periods of the sines and how often each: friction that the model lacks shifts every period by another time, latency does not."""

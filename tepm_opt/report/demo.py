@@ -11,7 +11,7 @@ from tepm_opt.jobs.demo import NAMES, DemoRun
 from tepm_opt.models.model import Model
 from tepm_opt.report.charts import distance_chart, robot_chart
 from tepm_opt.report.template import Group, Row, symbol, write
-from tepm_opt.solvers.text import digits, format_quantity
+from tepm_opt.solvers.numerics.text import digits, format_quantity
 
 
 def write_page(path: str | Path, run: DemoRun, figures: Mapping[str, Path]) -> None:

@@ -10,7 +10,7 @@ from tepm_opt.discrepancy.assessment.result import Errors, Verdict, VerdictStatu
 from tepm_opt.discrepancy.reporting.effect_table import effect_table, sentences_beside_table
 from tepm_opt.report.charts import Chart
 from tepm_opt.report.template import Group, Row, write
-from tepm_opt.solvers.text import digits, percent
+from tepm_opt.solvers.numerics.text import digits, percent
 
 HEADINGS = {
     VerdictStatus.NAMED: "The missing effect is named",

@@ -8,7 +8,7 @@ from tepm_opt.discrepancy.assessment.result import VerdictStatus
 from tepm_opt.jobs.model_update import ModelUpdate
 from tepm_opt.report.discrepancy import error_rows, summarise_verdict
 from tepm_opt.report.template import Group, Row, write
-from tepm_opt.solvers.text import digits
+from tepm_opt.solvers.numerics.text import digits
 
 
 def write_model_update_page(path: str | Path, done: ModelUpdate) -> None:

@@ -15,7 +15,7 @@ from tepm_opt.data.files import write_atomically
 from tepm_opt.discrepancy.assessment.result import Value
 from tepm_opt.plots.figure import STYLE
 from tepm_opt.report.charts import Chart
-from tepm_opt.solvers.text import format_quantity, percent, with_deviation
+from tepm_opt.solvers.numerics.text import format_quantity, percent, with_deviation
 
 CSS_PIXELS = 96  # an inch of a page
 NONE = ("", "1", "-")  # units of pure numbers

@@ -9,10 +9,10 @@ import numpy as np
 
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Ending
-from tepm_opt.solvers.choices import ActuationMode
-from tepm_opt.solvers.gain import Actuation, Gain, solve_gain
-from tepm_opt.solvers.kinematics import Configuration, solve_ik
-from tepm_opt.solvers.statics import Equilibrium, solve_statics
+from tepm_opt.solvers.kinematics.actuation_mode import ActuationMode
+from tepm_opt.solvers.kinematics.ik import Configuration, solve_ik
+from tepm_opt.solvers.linear.gain import Actuation, Gain, solve_gain
+from tepm_opt.solvers.mechanics.statics import Equilibrium, solve_statics
 
 FULL = 1e-9  # part of its range within which an input is at its maximum
 MODE = ActuationMode.HYBRID

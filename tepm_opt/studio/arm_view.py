@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.choices import ActuationMode
+from tepm_opt.solvers.kinematics.actuation_mode import ActuationMode
 from tepm_opt.studio.arm import KINDS, MODE, drag_tip, off_grid, set_inputs
 from tepm_opt.studio.scene import Bench, line_node, set_lines
 from tepm_opt.studio.words import describe_operating_point

@@ -10,8 +10,8 @@ import numpy as np
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.layout import Layout
-from tepm_opt.solvers.backbone import backbone
-from tepm_opt.solvers.text import quantity
+from tepm_opt.solvers.kinematics.backbone import backbone
+from tepm_opt.solvers.numerics.text import quantity
 from tepm_opt.studio.recordings import Film, Recordings, film
 from tepm_opt.studio.scene import ArmNode, line_node, set_lines
 from tepm_opt.studio.shapes import GAP, MEASURED, TARGET, polyline

@@ -23,7 +23,7 @@ from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.robot import Robot
 from tepm_opt.outcome import Ending
 from tepm_opt.progress import Progress, silent
-from tepm_opt.solvers.trajectories import Trajectory
+from tepm_opt.solvers.planning.trajectories import Trajectory
 
 SIM = "sim"
 

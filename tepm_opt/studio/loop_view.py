@@ -16,9 +16,9 @@ from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.jobs.closed_loop import ClosedLoop
 from tepm_opt.jobs.course import Course
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.sized import path_for
-from tepm_opt.solvers.text import quantity
-from tepm_opt.solvers.trajectories import SHAPES
+from tepm_opt.solvers.numerics.text import quantity
+from tepm_opt.solvers.planning.scaled_paths import path_for
+from tepm_opt.solvers.planning.trajectories import SHAPES
 from tepm_opt.studio.loop import LiveLoop, Moment
 from tepm_opt.studio.moments import MomentNode, Trace, describe_moment
 from tepm_opt.studio.shapes import MEASURED

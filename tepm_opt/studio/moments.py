@@ -12,8 +12,8 @@ import numpy as np
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import Robot
-from tepm_opt.solvers.backbone import backbone
-from tepm_opt.solvers.statics import solve_statics
+from tepm_opt.solvers.kinematics.backbone import backbone
+from tepm_opt.solvers.mechanics.statics import solve_statics
 from tepm_opt.studio.loop import Moment
 from tepm_opt.studio.scene import ArmNode, line_node, set_lines
 from tepm_opt.studio.shapes import BOUND, MEASURED, TARGET, nodes_in_g, polyline

@@ -19,8 +19,8 @@ from tepm_opt.models.channels import channels_of, open_dataset
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.model import Model, read_model
 from tepm_opt.progress import Progress, silent
-from tepm_opt.solvers.simulate import simulate
-from tepm_opt.solvers.statics import solve_statics
+from tepm_opt.solvers.mechanics.simulate import simulate
+from tepm_opt.solvers.mechanics.statics import solve_statics
 from tepm_opt.studio.shapes import nodes_in_g
 
 VALID = f"a run or log (CSV), a folder with {LOG}, {DESCRIPTION} or {VERDICT}"

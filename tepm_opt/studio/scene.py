@@ -9,7 +9,7 @@ import numpy as np
 
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import Robot
-from tepm_opt.solvers.gain import Actuation
+from tepm_opt.solvers.linear.gain import Actuation
 from tepm_opt.studio.arm import KINDS, OperatingPoint
 from tepm_opt.studio.shapes import GHOST, PLATE, PRESSURE, RING, TENSION, ArmShape, Color, arm_shape, nodes_in_g, quaternion
 

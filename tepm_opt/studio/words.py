@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tepm_opt.outcome import Ending
-from tepm_opt.solvers.text import quantity
+from tepm_opt.solvers.numerics.text import quantity
 from tepm_opt.studio.arm import KINDS, OperatingPoint
 
 BEYOND = 1e-3  # condition above its inverse at which a direction counts as not driven

@@ -9,8 +9,8 @@ import numpy as np
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Ending
 from tepm_opt.progress import Progress, silent, track
-from tepm_opt.solvers.choices import ActuationMode
-from tepm_opt.solvers.kinematics import solve_ik
+from tepm_opt.solvers.kinematics.actuation_mode import ActuationMode
+from tepm_opt.solvers.kinematics.ik import solve_ik
 
 FAR = 1.5  # of the arm's length: where points are sought from
 AROUND, POLAR = 18, 8

@@ -21,8 +21,8 @@ from tepm_opt.cli import progress, run
 from tepm_opt.jobs import demo, gain
 from tepm_opt.jobs.compare import compare
 from tepm_opt.jobs.course import Course
-from tepm_opt.solvers.gain import WorkspaceMap, workspace_map
-from tepm_opt.solvers.trajectories import circle
+from tepm_opt.solvers.linear.gain import WorkspaceMap, workspace_map
+from tepm_opt.solvers.planning.trajectories import circle
 
 NO_COMPILER = "no C compiler"  # a warning that is no fault, see models.backends.compiler
 PNG = b"\x89PNG\r\n\x1a\n"

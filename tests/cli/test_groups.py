@@ -13,9 +13,9 @@ from tepm_opt.cli.ik import ik
 from tepm_opt.cli.mpc import mpc
 from tepm_opt.cli.plan import plan
 from tepm_opt.errors import InputError
-from tepm_opt.solvers import trajectories
-from tepm_opt.solvers.kinematics import IkSettings
-from tepm_opt.solvers.trajectories import HEIGHT, ShapeParameter, Trajectory, shape
+from tepm_opt.solvers.kinematics.ik import IkSettings
+from tepm_opt.solvers.planning import trajectories
+from tepm_opt.solvers.planning.trajectories import HEIGHT, ShapeParameter, Trajectory, shape
 from tests.cli.conftest import Command
 
 TURNS = ShapeParameter("turns", "turns", "number of turns", "turns", 0.0, 20.0, above=True)

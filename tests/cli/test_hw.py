@@ -31,7 +31,7 @@ from tepm_opt.hw.service import monitor as service_monitor
 from tepm_opt.hw.service.line import Line, open_line
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.robot import Mount, load_robot, robot_text
-from tepm_opt.solvers.statics import solve_statics
+from tepm_opt.solvers.mechanics.statics import solve_statics
 from tests.cli.conftest import Command, script
 from tests.data.made import ACTUATORS
 from tests.hw.conftest import *  # noqa: F403  its fixtures

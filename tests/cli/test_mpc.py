@@ -24,7 +24,7 @@ from tepm_opt.jobs.closed_loop import LoopSetup
 from tepm_opt.jobs.compare import LoopTask, compare
 from tepm_opt.jobs.course import Course
 from tepm_opt.models.model import Model
-from tepm_opt.solvers.trajectories import circle
+from tepm_opt.solvers.planning.trajectories import circle
 from tepm_opt.studio import live
 from tests.cli.conftest import PNG, Command
 from tests.cli.tables import input_columns, names_in, shape_columns, summary, write_rows

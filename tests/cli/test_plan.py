@@ -10,7 +10,7 @@ import pytest
 from tepm_opt.data.setpoints import read_setpoints
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import load_robot
-from tepm_opt.solvers.trajectories import read_trajectory
+from tepm_opt.solvers.planning.trajectories import read_trajectory
 from tests.cli.conftest import PNG, Command
 from tests.cli.tables import names_in, summary
 

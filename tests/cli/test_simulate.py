@@ -20,7 +20,7 @@ from tepm_opt.jobs import simulate as simulate_job
 from tepm_opt.models.compile import compile_model
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.plots import film
-from tepm_opt.solvers.simulate import simulate
+from tepm_opt.solvers.mechanics.simulate import simulate
 from tests.cli.conftest import PNG, Command, hear_ctrl_c
 from tests.cli.tables import input_columns, length_columns, names_in, shape_columns, summary, table, values, write_rows
 

@@ -15,7 +15,7 @@ from tepm_opt.hw.rig import Command, Sample, Simulated
 from tepm_opt.hw.simulation.bench import BenchRig
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.robot import Robot
-from tepm_opt.solvers.statics import Equilibrium, equilibrium
+from tepm_opt.solvers.mechanics.statics import Equilibrium, solve_actuated_statics
 
 MUSCLES = 3
 
@@ -51,7 +51,7 @@ def reference_by_forces(model: CompiledModel, forces: np.ndarray, period: float 
     found: list[Equilibrium] = []
     for row in forces:
         effective = np.concatenate([row / model.values["A"], np.zeros(len(row))])
-        found.append(equilibrium(model, effective, model.check_loads(None), found[-1] if found else None, mapped=True))
+        found.append(solve_actuated_statics(model, effective, model.check_loads(None), found[-1] if found else None, explain=True))
         assert found[-1].solved, found[-1].outcome
     count = len(forces)
     tips = np.array([at.tip for at in found])

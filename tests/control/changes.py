@@ -16,7 +16,7 @@ from tepm_opt.hw.simulation.imperfections import ActuatorOffset, Imperfection, P
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.hw.simulation.rigfile import RigFile
 from tepm_opt.models.layout import Layout
-from tepm_opt.solvers.trajectories import circle, lissajous
+from tepm_opt.solvers.planning.trajectories import circle, lissajous
 from tests.control.study import APPROACH, PAUSE, model
 
 PAYLOAD, WEAKER, STIFFER, ZERO, LEAK, SLIP, GAUGE, SHIFT, TILT = 0.030, 0.10, 0.05, 6e3, 0.05, 0.3, 0.3, 5e-3, 1.0

@@ -10,7 +10,7 @@ from tepm_opt.control.mpc.controller import Mpc
 from tepm_opt.control.references.reference import Reference, approach, reference_of, sample_tips
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.trajectories import circle
+from tepm_opt.solvers.planning.trajectories import circle
 from tests.hw.conftest import board, board_factory, firmware, library
 
 __all__ = ["board", "board_factory", "firmware", "library"]

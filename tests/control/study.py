@@ -22,7 +22,7 @@ from tepm_opt.hw.simulation.bench import BenchRig
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.hw.simulation.rigfile import RigFile, load_rig_file
 from tepm_opt.models.compile import CompiledModel, compile_model
-from tepm_opt.solvers.trajectories import circle, lissajous
+from tepm_opt.solvers.planning.trajectories import circle, lissajous
 from tepm_opt.studies.paper.single import SET_POINTS, STAY, TAKEN
 from tests.control.bench_arm import BenchArm, bench_settings, guided, length_reference
 

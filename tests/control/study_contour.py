@@ -17,7 +17,7 @@ from tepm_opt.control.references.time_optimal import PaceSettings
 from tepm_opt.hw.simulation.family import random_machine
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.jobs.course import Course, whole_reference
-from tepm_opt.solvers.trajectories import circle, lissajous
+from tepm_opt.solvers.planning.trajectories import circle, lissajous
 from tests.control.study import model
 
 CASES = {

@@ -13,8 +13,8 @@ from tepm_opt.hw.simulation.family import random_machine
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.jobs.closed_loop import LoopSetup
 from tepm_opt.jobs.course import whole_reference
-from tepm_opt.jobs.rounds import run_rounds
-from tepm_opt.solvers.trajectories import circle, lissajous
+from tepm_opt.jobs.rounds import RoundsTask, run_rounds
+from tepm_opt.solvers.planning.trajectories import circle, lissajous
 from tests.control.study import model
 
 ROUNDS = 5
@@ -29,7 +29,7 @@ def errors(path: str, seed: int, number: int) -> list[float]:
         rig.reseed(lap + 1)
         return rig
 
-    run = run_rounds(model(), whole_reference(model(), PATHS[path]), opened, LoopSetup(), ROUNDS)
+    run = run_rounds(model(), RoundsTask(whole_reference(model(), PATHS[path]), LoopSetup(), ROUNDS), opened)
     found = [1e3 * loop.rms(True) if loop.ok else np.inf for loop in run.loops]
     return found + [np.inf] * (ROUNDS - len(found))
 

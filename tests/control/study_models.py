@@ -25,8 +25,8 @@ from tepm_opt.hw.simulation.rigfile import RigFile, load_rig_file
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.model import Model
 from tepm_opt.models.robot import load_robot
-from tepm_opt.solvers.identify import Problem, identify
-from tepm_opt.solvers.network_plant import NetworkPlant
+from tepm_opt.solvers.identification.identify import Problem, identify
+from tepm_opt.solvers.mechanics.network_plant import NetworkPlant
 from tepm_opt.studies.blind.excitation import excitations
 from tepm_opt.studies.blind.machine import Deviation, rig_file, simulate_run
 from tests.control.study import WIDE, reference

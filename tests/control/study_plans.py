@@ -19,9 +19,9 @@ from tepm_opt.control.references.reference import PERIOD, Reference, approach, m
 from tepm_opt.hw.simulation.family import random_machine
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.hw.simulation.rigfile import RigFile, load_rig_file
-from tepm_opt.solvers.choices import Objective
-from tepm_opt.solvers.kinematics import solve_ik
-from tepm_opt.solvers.modal_model import modal_model
+from tepm_opt.solvers.kinematics.ik import solve_ik
+from tepm_opt.solvers.linear.modal_model import modal_model
+from tepm_opt.solvers.planning.objective import Objective
 from tepm_opt.solvers.planning.plan import PlanSettings, plan_move
 from tests.control.study import APPROACH, WIDE, model
 

@@ -16,9 +16,9 @@ from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.jobs.closed_loop import ClosedLoop, LoopSetup
 from tepm_opt.jobs.course import Course, whole_reference
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.modal_model import modal_model
-from tepm_opt.solvers.statics import solve_statics
-from tepm_opt.solvers.trajectories import Trajectory, circle, line, lissajous
+from tepm_opt.solvers.linear.modal_model import modal_model
+from tepm_opt.solvers.mechanics.statics import solve_statics
+from tepm_opt.solvers.planning.trajectories import Trajectory, circle, line, lissajous
 
 QUICK = Course(approach=1.5, pause=0.1, start_up=0.3, pace=PaceSettings())
 

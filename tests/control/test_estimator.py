@@ -14,9 +14,9 @@ from tepm_opt.control.estimation.dahl_friction import dahl_step
 from tepm_opt.control.estimation.kalman_filter import DiscreteModalModel, Estimator, FilterSettings, StateEstimate
 from tepm_opt.control.references.reference import PERIOD
 from tepm_opt.errors import InputError
-from tepm_opt.solvers.choices import ActuationMode
-from tepm_opt.solvers.kinematics import solve_ik
-from tepm_opt.solvers.modal_model import modal_model
+from tepm_opt.solvers.kinematics.actuation_mode import ActuationMode
+from tepm_opt.solvers.kinematics.ik import solve_ik
+from tepm_opt.solvers.linear.modal_model import modal_model
 
 NOISE = 1e-3 / np.sqrt(3)  # m, of a coordinate
 MIDDLE = 3.5  # N

@@ -25,9 +25,9 @@ from tepm_opt.jobs.clearance import clearance
 from tepm_opt.jobs.closed_loop import ClosedLoop, LoopSetup
 from tepm_opt.jobs.plan import tell_rest_inside
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.modal_model import modal_model
+from tepm_opt.solvers.linear.modal_model import modal_model
+from tepm_opt.solvers.mechanics.statics import solve_actuated_statics
 from tepm_opt.solvers.planning.program import distance
-from tepm_opt.solvers.statics import equilibrium
 
 SPHERE = SphereObstacle(name="lamp", centre_m=(0.1, -0.05, 0.3), radius_m=0.06)
 BOX = BoxObstacle(name="shelf", centre_m=(0.0, 0.1, 0.2), size_m=(0.1, 0.2, 0.05), rotation_deg=(20.0, -35.0, 50.0))
@@ -154,7 +154,7 @@ class TestDetour:
     def test_is_in_balance_and_smooth(self, kang: CompiledModel, short: Reference, led: Reference) -> None:
         for k in (0, 350, 399, 449):
             inputs = np.concatenate([led.forces[k] / kang.values["A"], np.zeros(6)])
-            found = equilibrium(kang, inputs, kang.check_loads(None), led.equilibria[k], mapped=True)
+            found = solve_actuated_statics(kang, inputs, kang.check_loads(None), led.equilibria[k], explain=True)
             np.testing.assert_allclose(found.tip, led.tips[k], atol=1e-7)
         bend = np.abs(np.diff(led.tips, 2, axis=0)).max() / short.period**2
         assert bend < np.abs(np.diff(short.tips, 2, axis=0)).max() / short.period**2 + 0.5

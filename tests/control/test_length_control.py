@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tepm_opt.control.baselines.length_control import LengthController, LengthSettings, LengthTarget, TendonUse, hold
+from tepm_opt.control.baselines.length_control import HoldTask, LengthController, LengthSettings, LengthTarget, TendonUse, hold
 from tepm_opt.control.baselines.pid import Gains
 from tepm_opt.control.estimation.lengths import LengthEstimator
 from tepm_opt.errors import InputError
@@ -11,8 +11,8 @@ from tepm_opt.hw.commands import check_command
 from tepm_opt.hw.simulation.bench import BenchRig
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.models.robot import load_robot
-from tepm_opt.solvers.choices import ActuationMode
-from tepm_opt.solvers.kinematics import solve_ik
+from tepm_opt.solvers.kinematics.actuation_mode import ActuationMode
+from tepm_opt.solvers.kinematics.ik import solve_ik
 
 ROBOT = load_robot("kang2017")
 FORCES = np.full(6, 8.0)
@@ -108,7 +108,7 @@ def test_set_points_on_a_perfect_bench_are_reached(use):
     """No friction, no grid, no noise: within 0.1 mm in the end, in either mode, with a feed-forward 10 % too small."""
     rig = BenchRig("perfect")
     wanted = [LengthTarget(np.array([length]), np.array([0.9 * 358.86 * (length - 0.2)])) for length in (0.22, 0.23)]
-    held = hold(rig, LengthController(rig.robot, use), lambda sample: sample.lengths, wanted, 6.0)
+    held = hold(rig, LengthController(rig.robot, use), lambda sample: sample.lengths, HoldTask(wanted, 6.0))
     late = held.time % 6 > 5.5
     assert np.abs(held.lengths[late, 0] - np.array([0.22, 0.23])[held.target[late]]).max() < 1e-4
     assert bool(held.enabled[late].all()) == (use is TendonUse.ADJUSTS)
@@ -121,6 +121,8 @@ def test_arm_comes_to_a_point_of_the_circle_and_stays(kang, use):
     wanted = LengthTarget(found.equilibrium.lengths.ravel(), found.forces)
     estimator = LengthEstimator(kang)
     rig = SimulatedRig("perfect")
-    held = hold(rig, LengthController(rig.robot, use), lambda sample: estimator.update(sample.points), [wanted], 5.0, approach=3.0)
+    held = hold(
+        rig, LengthController(rig.robot, use), lambda sample: estimator.update(sample.points), HoldTask([wanted], 5.0, approach=3.0)
+    )
     missed = np.linalg.norm(held.points[held.time > 7.0, -1] - found.target, axis=1)
     assert missed.max() < 3e-3

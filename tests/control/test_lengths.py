@@ -7,7 +7,7 @@ import pytest
 
 from tepm_opt.control.estimation.lengths import LengthEstimator, LengthEstimatorSettings
 from tepm_opt.errors import InputError
-from tepm_opt.solvers.statics import solve_statics
+from tepm_opt.solvers.mechanics.statics import solve_statics
 
 BENT = np.array([0.2e6, 0.1e6, 0.15e6, 0.3e6, 0.1e6, 0.12e6, 0, 1.0, 0, 0, 0, 2.0])
 EXACT = LengthEstimatorSettings(steps=60, tolerance=1e-9, noise=1e-6, force_step=1e3)

@@ -19,7 +19,7 @@ from tepm_opt.hw.rig import Sample
 from tepm_opt.hw.simulation.family import random_machine
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.trajectories import circle
+from tepm_opt.solvers.planning.trajectories import circle
 from tests.control.changes import Changing, change_of, path
 from tests.control.study import APPROACH, model
 

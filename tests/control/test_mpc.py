@@ -22,7 +22,7 @@ from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.model import Model
 from tepm_opt.models.robot import load_robot
 from tepm_opt.outcome import Ending, Outcome
-from tepm_opt.solvers.modal_model import modal_model
+from tepm_opt.solvers.linear.modal_model import modal_model
 from tests.control.study_models import alone, error
 
 ROBOT = load_robot("kang2017")

@@ -21,8 +21,8 @@ from tepm_opt.control.mpc.controller import Mpc
 from tepm_opt.control.references.reference import Reference, approach, reference_of
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.hw.simulation.rigfile import load_rig_file
-from tepm_opt.solvers.modal_model import modal_model
-from tepm_opt.solvers.trajectories import circle
+from tepm_opt.solvers.linear.modal_model import modal_model
+from tepm_opt.solvers.planning.trajectories import circle
 from tests.control.study import APPROACH, WIDE, model
 
 MOST = 2.5e-4  # m; 0.204 mm when written

@@ -5,8 +5,8 @@ import pytest
 
 from tepm_opt.control.references.reference import PERIOD, Reference, approach, minimum_jerk, point_by_point, reference_of, sample_tips
 from tepm_opt.errors import InputError
-from tepm_opt.solvers.statics import solve_statics
-from tepm_opt.solvers.trajectories import Trajectory, circle, lissajous
+from tepm_opt.solvers.mechanics.statics import solve_statics
+from tepm_opt.solvers.planning.trajectories import Trajectory, circle, lissajous
 
 HALF = Trajectory(np.linspace(0.0, 4.0, 41), np.stack([np.linspace(0, 0.1, 41), np.zeros(41), np.full(41, 0.35)], axis=1))
 

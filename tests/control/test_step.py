@@ -17,7 +17,7 @@ from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.model import Model
-from tepm_opt.solvers.trajectories import lissajous
+from tepm_opt.solvers.planning.trajectories import lissajous
 from tests.control.bench_arm import reference_by_forces
 from tests.tools import variant
 

@@ -19,7 +19,7 @@ from tepm_opt.discrepancy.laws.axis import AXIS
 from tepm_opt.discrepancy.laws.effect import Law
 from tepm_opt.discrepancy.laws.signals import INPUT, OUTPUT
 from tepm_opt.discrepancy.laws.vessels import VESSEL
-from tepm_opt.solvers.plant import PredictionError
+from tepm_opt.solvers.mechanics.plant import PredictionError
 
 GROUPS = ("", "cold", "warm")
 

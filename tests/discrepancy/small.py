@@ -12,7 +12,7 @@ from tepm_opt.data.datasets import DataSet, write_dataset
 from tepm_opt.data.run import Run
 from tepm_opt.models.channels import channels_of
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.simulate import simulate
+from tepm_opt.solvers.mechanics.simulate import simulate
 from tepm_opt.studies.blind.excitation import RATE, Excitation, excitations
 
 NOISE = 3e-4  # m per axis

@@ -10,7 +10,7 @@ import numpy as np
 from tepm_opt.data.run import Run
 from tepm_opt.data.signals import Signals
 from tepm_opt.discrepancy.problem.plant import Candidate
-from tepm_opt.solvers.plant import Free, Prediction
+from tepm_opt.solvers.mechanics.plant import Free, Prediction
 
 KNOWN = ("stiffness", "mass")
 ROWS = 40

@@ -32,8 +32,8 @@ from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.effect_files import unload_effect
 from tepm_opt.models.model import Model
-from tepm_opt.solvers.identify import Problem, identify
-from tepm_opt.solvers.network_plant import NetworkPlant
+from tepm_opt.solvers.identification.identify import Problem, identify
+from tepm_opt.solvers.mechanics.network_plant import NetworkPlant
 from tepm_opt.studies.blind import machine
 from tepm_opt.studies.blind.excitation import Excitation, excitations
 from tepm_opt.studies.blind.machine import Deviation

@@ -32,10 +32,10 @@ from tepm_opt.models.compile import compile_model
 from tepm_opt.models.model import Model
 from tepm_opt.recording.plan import PlannedRun
 from tepm_opt.recording.reach import reach_of
-from tepm_opt.solvers.identify import Problem
-from tepm_opt.solvers.plant import PredictionError
-from tepm_opt.solvers.predict import LONGEST_STEP
-from tepm_opt.solvers.simulate import SimulationError, simulate
+from tepm_opt.solvers.identification.identify import Problem
+from tepm_opt.solvers.mechanics.plant import PredictionError
+from tepm_opt.solvers.mechanics.predict import LONGEST_STEP
+from tepm_opt.solvers.mechanics.simulate import SimulationError, simulate
 from tepm_opt.studies.blind.excitation import draw_runs
 
 NOISE, RATE = 3e-4, 50.0

@@ -28,7 +28,7 @@ from tepm_opt.jobs.discrepancy import checked_dataset
 from tepm_opt.jobs.plants import load_plant
 from tepm_opt.models.channels import channels_of
 from tepm_opt.models.model import Model
-from tepm_opt.solvers.plant import PredictionError
+from tepm_opt.solvers.mechanics.plant import PredictionError
 from tests.discrepancy.small import NOISE as SMALL
 from tests.discrepancy.small import planned
 

@@ -16,7 +16,7 @@ from tepm_opt.data.datasets import DataSet, write_dataset
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.assessment.result import Verdict, VerdictStatus
 from tepm_opt.errors import InputError
-from tepm_opt.jobs.discrepancy import run_discrepancy
+from tepm_opt.jobs.discrepancy import DiscrepancyOptions, run_discrepancy
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.robot import robot_text
 from tests.discrepancy.small import FILES, NOISE, changed, cut, dataset_of, measured, planned, true_values
@@ -388,7 +388,7 @@ def test_bad_data_are_refused_or_humbly_explained(machine: Machine, tmp_path: Pa
 def test_a_clock_that_leads_names_nothing(machine: Machine, tmp_path: Path) -> None:
     """What the data check would refuse, since it moves before its inputs do."""
     write_dataset(late(-0.3)(machine), tmp_path / "data")
-    verdict = run_discrepancy(tmp_path / "data", tmp_path / "out", despite_errors=True).verdict
+    verdict = run_discrepancy(tmp_path / "data", tmp_path / "out", options=DiscrepancyOptions(despite_errors=True)).verdict
     assert re.match("all runs: shifted clock: positions lead the inputs by 0.[23]", verdict.notes[0])
     assert verdict.status is VerdictStatus.UNEXPLAINED
     assert verdict.next.startswith("put inputs and positions on one clock")

@@ -23,7 +23,7 @@ from tepm_opt.discrepancy.pipeline import discover, learn_baseline
 from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.state import Question
 from tepm_opt.errors import InputError
-from tepm_opt.jobs.discrepancy import run_discrepancy
+from tepm_opt.jobs.discrepancy import DiscrepancyOptions, run_discrepancy
 
 STEP, NOISE, GRAVITY = 0.05, 1e-4, 9.81
 
@@ -178,7 +178,7 @@ class TestCommand:
         plant = tmp_path / "arm.py"
         plant.write_text("from tests.discrepancy.test_baseline import pendulum\n\nplant = pendulum()\n", encoding="utf-8")
         old, new = (write(recording(name, seed, mass), tmp_path / name) for name, seed, mass in (("old", 1, 0.0), ("new", 5, 0.25)))
-        found = run_discrepancy(new, tmp_path / "out", plant=plant, baseline=old)
+        found = run_discrepancy(new, tmp_path / "out", plant=plant, options=DiscrepancyOptions(baseline=old))
         assert [effect.candidate.label for effect in found.verdict.effects if effect.probability > 0.8] == ["payload[tip]"]
         content = json.loads((tmp_path / "out" / "verdict.json").read_text(encoding="utf-8"))
         told = json.loads((tmp_path / "out" / "baseline.json").read_text(encoding="utf-8"))
@@ -187,7 +187,7 @@ class TestCommand:
         np.testing.assert_allclose(np.sqrt(np.diag(told["covariance"])), [each["std"] for each in told["parameters"]])
         assert "baseline" not in found.verdict.command or str(old) in found.verdict.command
         file = tmp_path / "out" / "baseline.json"
-        again = run_discrepancy(new, tmp_path / "again", plant=plant, baseline=file).verdict
+        again = run_discrepancy(new, tmp_path / "again", plant=plant, options=DiscrepancyOptions(baseline=file)).verdict
         assert [(e.candidate.label, e.probability) for e in again.effects] == [
             (e.candidate.label, e.probability) for e in found.verdict.effects
         ]
@@ -196,14 +196,14 @@ class TestCommand:
         with pytest.raises(
             InputError, match=r"baseline\.json: the data, the model or tepm-opt are not those of then; valid: --baseline .*old"
         ):
-            run_discrepancy(new, tmp_path / "third", plant=plant, baseline=file)
+            run_discrepancy(new, tmp_path / "third", plant=plant, options=DiscrepancyOptions(baseline=file))
         (tmp_path / "out" / "deeper").mkdir()
         moved = file.rename(tmp_path / "out" / "deeper" / "baseline.json")
         with pytest.raises(InputError, match=r"baseline\.json: its data set .*old is not there; valid: the file where it was written"):
-            run_discrepancy(new, tmp_path / "third", plant=plant, baseline=moved)
+            run_discrepancy(new, tmp_path / "third", plant=plant, options=DiscrepancyOptions(baseline=moved))
         file.write_text("{}")
         with pytest.raises(InputError, match=r"baseline\.json: names no data; valid: "):
-            run_discrepancy(new, tmp_path / "third", plant=plant, baseline=file)
+            run_discrepancy(new, tmp_path / "third", plant=plant, options=DiscrepancyOptions(baseline=file))
 
 
 def write(recorded: RunSet, folder: Path) -> Path:

@@ -12,7 +12,7 @@ import pytest
 from tepm_opt.discrepancy.adapters.network import candidate
 from tepm_opt.discrepancy.assessment import credibility as belief
 from tepm_opt.discrepancy.assessment.constancy import SegmentSizes
-from tepm_opt.discrepancy.assessment.credibility import AlternativeLaw, Judgement, alternative_law_odds, assess
+from tepm_opt.discrepancy.assessment.credibility import AlternativeLaw, EffectChecks, Judgement, alternative_law_odds, assess
 from tepm_opt.discrepancy.assessment.result import Errors, VerdictStatus
 from tepm_opt.discrepancy.assessment.settings import AssessmentSettings
 from tepm_opt.discrepancy.assessment.stated_set import describe_stated_set, score_causes
@@ -41,7 +41,8 @@ def answer(
     found = Explanation(without, best, best, [without, best, other], [], {effect: share}, {effect: [(best, weight), (other, 1 - weight)]})
     constancy = {effect: {"run": SegmentSizes((0, 1), np.array([0.2, 1.8]), np.ones(2), spread)}}
     law: Any = SimpleNamespace(place=SimpleNamespace(label="axial[12](length)"))
-    return assess(found, errors, SETTINGS, True, {} if doubt is None else {effect: AlternativeLaw(doubt, law)}, constancy)
+    checks = EffectChecks({} if doubt is None else {effect: AlternativeLaw(doubt, law)}, constancy)
+    return assess(found, errors, SETTINGS, checks)
 
 
 @pytest.mark.parametrize(("beside", "score"), [(0.06, 0.56), (0.3, 0.0)])
@@ -52,7 +53,7 @@ def test_what_removes_most_of_what_is_left_is_not_ruled_out(beside: float, score
     more, alone = hypothesis((LAG, creep), beside), hypothesis((LOAD,), 9.0)
     tried = [without, best, rival, more, alone]
     found = Explanation(without, best, best, tried, [], {LAG: 100.0}, {LAG: [(best, 0.7), (rival, 0.3)]})
-    judgement = assess(found, SHRUNK, SETTINGS, True, {}, {})
+    judgement = assess(found, SHRUNK, SETTINGS, EffectChecks())
     scores = dict(score_causes(found, judgement, SETTINGS))
     assert scores == pytest.approx({"regulator_lag": 0.68, "time_delay": 0.3} | ({"creep": score} if score else {}), abs=0.01)
     assert next(iter(scores)) == "regulator_lag"
@@ -105,7 +106,7 @@ def test_what_an_exact_form_leaves_beyond_chance_weighs_against_it(effect: Any, 
     best, without = hypothesis((effect,), left), hypothesis((), 1.0)
     best.estimate.cost, best.estimate.count = 1e6 * (1 + left), 1_000_000
     found = Explanation(without, best, best, [without, best], [], {effect: 10.0}, {effect: [(best, 1.0)]})
-    assert assess(found, SHRUNK, SETTINGS, True, {}, {}).cause[effect] == pytest.approx(10 / (10 + even))
+    assert assess(found, SHRUNK, SETTINGS, EffectChecks()).cause[effect] == pytest.approx(10 / (10 + even))
 
 
 @pytest.mark.parametrize(("corrected", "runs", "refuted"), [(6e-3, ("a.csv",), True), (6e-3, (), False), (4.1e-3, ("a.csv",), False)])
@@ -120,7 +121,7 @@ def test_both_of_two_in_the_place_of_one_are_listed() -> None:
     two = candidate("creep"), candidate("mass_distribution")
     best, other, without = hypothesis((LAG,), 0.2), hypothesis(two, 0.2), hypothesis((), 10.0)
     found = Explanation(without, best, best, [without, best, other], [], {LAG: 100.0}, {LAG: [(best, 0.6), (other, 0.4)]})
-    listed = assess(found, SHRUNK, SETTINGS, True, {}, {}).listed
+    listed = assess(found, SHRUNK, SETTINGS, EffectChecks()).listed
     assert [(each.name, round(p, 2)) for _, each, _, p in listed] == [("regulator_lag", 0.58), ("creep", 0.39), ("mass_distribution", 0.39)]
 
 
@@ -132,7 +133,7 @@ def test_what_mends_a_stand_in_is_doubted_with_it() -> None:
     for taken in (9.0, 1.0):
         found = Explanation(without, best, best, [without, best], [], {LAG: taken / 0.2, LOAD: 1e9}, groups)
         doubted = {LAG: AlternativeLaw(0.1, law)}
-        assert assess(found, SHRUNK, SETTINGS, True, doubted, {}).cause[LOAD] == pytest.approx(1 - 0.9 * taken / 10, rel=1e-6)
+        assert assess(found, SHRUNK, SETTINGS, EffectChecks(doubted)).cause[LOAD] == pytest.approx(1 - 0.9 * taken / 10, rel=1e-6)
 
 
 def test_nothing_is_named_that_does_not_shrink_the_gap_on_runs_not_used() -> None:
@@ -185,7 +186,7 @@ def test_an_exact_form_beside_one_that_is_not_may_leave_structure() -> None:
     """What is left may be the other's."""
     best, without = hypothesis((LAG, LOAD), 0.2), hypothesis((), 10.0)
     groups = {effect: [(best, 1.0)] for effect in best.effects}
-    both = assess(Explanation(without, best, best, [without, best], [], {LAG: 15.0, LOAD: 15.0}, groups), SHRUNK, SETTINGS, True, {}, {})
+    both = assess(Explanation(without, best, best, [without, best], [], {LAG: 15.0, LOAD: 15.0}, groups), SHRUNK, SETTINGS, EffectChecks())
     assert both.cause[LOAD] == pytest.approx(15 / (15 + SETTINGS.even_odds_ratio))
 
 
@@ -205,7 +206,7 @@ def test_of_many_effects_those_that_take_little_may_be_less_sure() -> None:
 
     def answered(shares: dict[Candidate, float], begun: Any = begun) -> Judgement:
         found = Explanation(without, best, best, [without, best], [], shares, groups, begun)
-        return assess(found, SHRUNK, SETTINGS, True, {}, {})
+        return assess(found, SHRUNK, SETTINGS, EffectChecks())
 
     found = answered(shares)
     assert found.status is VerdictStatus.NAMED
@@ -221,7 +222,7 @@ def test_what_gauges_show_does_not_explain_what_it_leaves() -> None:
     def status(left: float) -> VerdictStatus:
         best, without = hypothesis((LAG,), left), hypothesis((), 500.0)
         found = Explanation(without, best, best, [without, best], [], {LAG: float("inf")}, {LAG: [(best, 1.0)]}, begun)
-        return assess(found, SHRUNK, SETTINGS, True, {}, {}).status
+        return assess(found, SHRUNK, SETTINGS, EffectChecks()).status
 
     assert status(100.0) is VerdictStatus.PARTIAL
     assert status(1.0) is VerdictStatus.NAMED
@@ -232,6 +233,6 @@ def test_what_gauges_show_casts_no_doubt_where_nothing_is_left() -> None:
     best, without, begun = hypothesis((LAG, LOAD), 0.0), hypothesis((), 10.0), hypothesis((LAG,), 3.0)
     groups = {effect: [(best, 1.0)] for effect in best.effects}
     found = Explanation(without, best, best, [without, begun, best], [], {LAG: float("inf"), LOAD: 5e4}, groups, begun)
-    told = assess(found, SHRUNK, SETTINGS, True, {}, {})
+    told = assess(found, SHRUNK, SETTINGS, EffectChecks())
     assert told.status is VerdictStatus.NAMED
     assert told.cause[LOAD] > 0.99

@@ -21,8 +21,8 @@ from tepm_opt.discrepancy.laws.signals import INPUT
 from tepm_opt.errors import InputError
 from tepm_opt.jobs.discrepancy import run_discrepancy
 from tepm_opt.plots.discrepancy import discovery_figures
-from tepm_opt.solvers.identify import Problem, identify
-from tepm_opt.solvers.plant import START, PredictionError
+from tepm_opt.solvers.identification.identify import Problem, identify
+from tepm_opt.solvers.mechanics.plant import START, PredictionError
 
 DEAD = Law("dead_zone", "input", (Quantity("width", "signal", 0.0, (0.01, 0.1), 0.0, 1.0),), smooth=False)
 LEVER = """

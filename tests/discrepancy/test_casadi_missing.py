@@ -10,7 +10,7 @@ import pytest
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.adapters.casadi_plant import CasadiPlant
 from tepm_opt.discrepancy.adapters.equations import Equations
-from tepm_opt.solvers.plant import START
+from tepm_opt.solvers.mechanics.plant import START
 
 TIME = np.arange(0, 6.0, 0.02)
 ROWS = np.delete(np.arange(len(TIME)), [*range(40, 44), *range(100, 140), 200])  # what is left of the samples

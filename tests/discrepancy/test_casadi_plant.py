@@ -24,7 +24,7 @@ from tepm_opt.discrepancy.laws.effect import Law, Quantity
 from tepm_opt.discrepancy.laws.mechanism import MECHANISM
 from tepm_opt.discrepancy.laws.signals import INPUT, OUTPUT
 from tepm_opt.errors import InputError
-from tepm_opt.solvers.plant import START, PredictionError
+from tepm_opt.solvers.mechanics.plant import START, PredictionError
 
 TIME = np.arange(0, 3.0, 0.01)
 EVERYTHING = {  # every effect of the library acts

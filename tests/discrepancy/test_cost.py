@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from tepm_opt.discrepancy.adapters.cost import PlantCost, measure_cost
-from tepm_opt.solvers.plant import PredictionError
+from tepm_opt.solvers.mechanics.plant import PredictionError
 from tests.discrepancy.test_quick_plants import runs, tank
 
 

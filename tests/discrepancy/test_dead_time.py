@@ -18,7 +18,7 @@ from tepm_opt.discrepancy.laws.signals import INPUT
 from tepm_opt.discrepancy.pipeline import discover
 from tepm_opt.discrepancy.preparation.beginnings import remove_beginnings
 from tepm_opt.errors import InputError
-from tepm_opt.solvers.plant import START
+from tepm_opt.solvers.mechanics.plant import START
 from tests.paths import SHARED
 
 STEP, ROWS = 0.02, 300

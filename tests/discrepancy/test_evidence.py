@@ -12,8 +12,8 @@ from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection import cross_validation as evidences
 from tepm_opt.discrepancy.selection.cross_validation import Evidence, leave_out, weights
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.identify import ParameterEstimate, Problem, identify
-from tepm_opt.solvers.network_plant import NetworkPlant, free_parameters
+from tepm_opt.solvers.identification.identify import ParameterEstimate, Problem, identify
+from tepm_opt.solvers.mechanics.network_plant import NetworkPlant, free_parameters
 from tests.discrepancy.small import FILES, NOISE, STEP, changed, cut, measured, planned, true_values
 
 BLOCKS, SAMPLES, SETTINGS = 40, 600, SearchSettings()

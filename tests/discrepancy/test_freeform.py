@@ -16,9 +16,9 @@ from tepm_opt.discrepancy.symbolic.responses import Normal, point_responses, sim
 from tepm_opt.discrepancy.symbolic.score import Scored, alternatives
 from tepm_opt.discrepancy.symbolic.settings import DEFAULT
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.identify import ParameterEstimate, Problem, identify
-from tepm_opt.solvers.network_plant import NetworkPlant, free_parameters
-from tepm_opt.solvers.simulate import simulate
+from tepm_opt.solvers.identification.identify import ParameterEstimate, Problem, identify
+from tepm_opt.solvers.mechanics.network_plant import NetworkPlant, free_parameters
+from tepm_opt.solvers.mechanics.simulate import simulate
 from tests.discrepancy.small import NOISE, changed, cut, measured, planned, true_values
 
 FILES = ("single_pressure.csv", "single_tension.csv", "elongation.csv")

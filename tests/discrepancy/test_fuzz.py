@@ -39,7 +39,7 @@ def check(seed: int, folder: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", RuntimeWarning)
-            found = job.run_discrepancy(where, folder / "out", seed=seed, plant=folder / "plant.py")
+            found = job.run_discrepancy(where, folder / "out", plant=folder / "plant.py", options=job.DiscrepancyOptions(seed))
             pictures = plots.draw(found, folder / "out")
             write_discrepancy_page(folder / "out" / "report.html", found.verdict, found.localisation, pictures, {"seed": str(seed)})
     except InputError as error:

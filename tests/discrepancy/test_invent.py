@@ -19,9 +19,9 @@ from tepm_opt.models.effect_files import load_effects, unload_effect
 from tepm_opt.models.effects import effects, find_effect
 from tepm_opt.models.model import Model, read_model, write_model
 from tepm_opt.plots import draw
-from tepm_opt.solvers.identify import ParameterEstimate, Problem, identify
-from tepm_opt.solvers.network_plant import NetworkPlant, free_parameters
-from tepm_opt.solvers.statics import solve_statics
+from tepm_opt.solvers.identification.identify import ParameterEstimate, Problem, identify
+from tepm_opt.solvers.mechanics.network_plant import NetworkPlant, free_parameters
+from tepm_opt.solvers.mechanics.statics import solve_statics
 from tests.discrepancy.small import NOISE, changed, measured, planned, true_values
 
 pytestmark = pytest.mark.slow

@@ -13,7 +13,7 @@ from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.adapters.network import SearchableNetwork
 from tepm_opt.discrepancy.assessment import validation
 from tepm_opt.discrepancy.assessment.settings import AssessmentSettings
-from tepm_opt.discrepancy.pipeline import discover
+from tepm_opt.discrepancy.pipeline import DiscoverOptions, discover
 from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.model import Model
@@ -38,7 +38,12 @@ def test_of_a_verdict_per_sample(kang: CompiledModel, monkeypatch: pytest.Monkey
         dataset = dataset_of(kang, every)
         tracemalloc.start()
         try:
-            discover(dataset, SearchableNetwork.from_model(Model.from_robot("kang2017"), dataset.channels), NOISE, settings=settings)
+            discover(
+                dataset,
+                SearchableNetwork.from_model(Model.from_robot("kang2017"), dataset.channels),
+                NOISE,
+                options=DiscoverOptions(settings=settings),
+            )
             return sum(run.rows for run in every), tracemalloc.get_traced_memory()[1]
         finally:
             tracemalloc.stop()

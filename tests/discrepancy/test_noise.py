@@ -11,7 +11,7 @@ from scipy.signal import lfilter
 from tepm_opt.data.run import Run
 from tepm_opt.data.signals import Signals
 from tepm_opt.discrepancy.preparation.noise import describe_noise, estimate_noise
-from tepm_opt.solvers.residuals import Residual
+from tepm_opt.solvers.identification.residuals import Residual
 
 RATE, NOISE, ROWS = 50, 3e-4, 700
 SIGNALS = Signals(("u",), (1.0,), ("s1", "s2", "s3", "s4"), ("x", "y", "z"), "m")

@@ -20,12 +20,12 @@ from tepm_opt.models.compile import compile_model
 from tepm_opt.models.model import Model
 from tepm_opt.models.robot import load_robot
 from tepm_opt.outcome import Ending
-from tepm_opt.solvers.identify import Problem, identify
-from tepm_opt.solvers.network_plant import NetworkPlant, free_parameters
-from tepm_opt.solvers.plant import PredictionError
-from tepm_opt.solvers.predict import predict
-from tepm_opt.solvers.simulate import Directions, simulate
-from tepm_opt.solvers.statics import solve_statics
+from tepm_opt.solvers.identification.identify import Problem, identify
+from tepm_opt.solvers.mechanics.network_plant import NetworkPlant, free_parameters
+from tepm_opt.solvers.mechanics.plant import PredictionError
+from tepm_opt.solvers.mechanics.predict import predict
+from tepm_opt.solvers.mechanics.simulate import Directions, simulate
+from tepm_opt.solvers.mechanics.statics import solve_statics
 from tests.discrepancy.small import changed
 
 FILE = Path(__file__).resolve().parents[2] / "docs" / "one_axis.toml"

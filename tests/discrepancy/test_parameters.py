@@ -14,8 +14,8 @@ from tepm_opt.discrepancy.adapters.casadi_plant import CasadiPlant
 from tepm_opt.discrepancy.adapters.equations import Equations
 from tepm_opt.discrepancy.problem.parameters import MachineDescription
 from tepm_opt.errors import InputError
-from tepm_opt.solvers.identify import Problem, identify
-from tepm_opt.solvers.plant import Free
+from tepm_opt.solvers.identification.identify import Problem, identify
+from tepm_opt.solvers.mechanics.plant import Free
 
 TIME = np.linspace(0, 2, 81)
 

@@ -17,8 +17,8 @@ from tepm_opt.discrepancy.reporting.sentences import describe_extrapolation
 from tepm_opt.discrepancy.selection.cross_validation import leave_out
 from tepm_opt.discrepancy.selection.linearised import linearise
 from tepm_opt.discrepancy.selection.screening import screen
-from tepm_opt.solvers.identify import Problem, identify
-from tepm_opt.solvers.residuals import Residual, independent_after
+from tepm_opt.solvers.identification.identify import Problem, identify
+from tepm_opt.solvers.identification.residuals import Residual, independent_after
 
 STEP, NOISE = 0.02, 0.01
 FOLDS = SearchSettings().fold_count

@@ -26,10 +26,10 @@ from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.effects import effects
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.model import Model, read_model
-from tepm_opt.solvers import parallel
-from tepm_opt.solvers.identify import Problem, identify
-from tepm_opt.solvers.network_plant import NetworkPlant, free_parameters
-from tepm_opt.solvers.predict import predict
+from tepm_opt.solvers.identification.identify import Problem, identify
+from tepm_opt.solvers.mechanics.network_plant import NetworkPlant, free_parameters
+from tepm_opt.solvers.mechanics.predict import predict
+from tepm_opt.solvers.numerics import parallel
 from tests.discrepancy.small import NOISE, STEP, changed, cut, dataset_of, measured, planned, true_values, write
 from tests.tools import stages_into
 

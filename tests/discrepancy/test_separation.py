@@ -10,7 +10,7 @@ import pytest
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.experiments.separation import predict_with_uncertainty, separation
 from tepm_opt.discrepancy.problem.plant import Candidate, collect_free_parameters
-from tepm_opt.solvers.identify import ParameterEstimate, Problem, identify
+from tepm_opt.solvers.identification.identify import ParameterEstimate, Problem, identify
 from tests.discrepancy.straight import Straight, effect, planned
 
 NOISE = 0.3
@@ -69,7 +69,7 @@ def test_the_least_of_all_pairs_counts(both: list[ParameterEstimate]) -> None:
 
 
 def test_a_run_that_cannot_be_done_separates_nothing(both: list[ParameterEstimate], monkeypatch: pytest.MonkeyPatch) -> None:
-    from tepm_opt.solvers.plant import PredictionError
+    from tepm_opt.solvers.mechanics.plant import PredictionError
 
     def refuse(*given: object) -> None:
         raise PredictionError("no motion")

@@ -20,8 +20,8 @@ from tepm_opt.discrepancy.selection.matching_pursuit import (
 )
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.model import Model
-from tepm_opt.solvers.identify import Problem
-from tepm_opt.solvers.network_plant import NetworkPlant, free_parameters
+from tepm_opt.solvers.identification.identify import Problem
+from tepm_opt.solvers.mechanics.network_plant import NetworkPlant, free_parameters
 from tests.discrepancy.small import NOISE, changed, cut, measured, planned, true_values
 
 pytestmark = pytest.mark.slow

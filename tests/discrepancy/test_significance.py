@@ -20,7 +20,7 @@ from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.reporting.effect_table import describe_sizes
 from tepm_opt.discrepancy.selection import significance
-from tepm_opt.solvers.identify import _at_least
+from tepm_opt.solvers.identification.identify import _at_least
 
 WEAR = Candidate("wear", null={"wear.change": 0.0, "wear.bend": 0.0}, shapes=("wear.bend",))
 NOISE = 3e-3

@@ -21,7 +21,7 @@ from tepm_opt.discrepancy.selection.linearised import Linearised, linearise
 from tepm_opt.discrepancy.selection.run_subsets import list_helped_runs, list_run_spans, select_longest_span
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.model import Model
-from tepm_opt.solvers.identify import Problem
+from tepm_opt.solvers.identification.identify import Problem
 from tests.discrepancy.small import NOISE, changed, cut, dataset_of, measured, planned, true_values
 
 NOMINAL = Model.from_robot("kang2017")

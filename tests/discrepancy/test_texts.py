@@ -18,19 +18,19 @@ from tepm_opt.discrepancy.selection.screening import Score
 from tepm_opt.discrepancy.state import Discovery
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Ending, Outcome
-from tepm_opt.solvers.gain import input_curve, solve_gain, workspace_map
-from tepm_opt.solvers.identify import ParameterEstimate, Problem, identify
-from tepm_opt.solvers.kinematics import solve_ik
-from tepm_opt.solvers.linear import linearise
-from tepm_opt.solvers.modal_model import modal_model
-from tepm_opt.solvers.modes import modes
-from tepm_opt.solvers.network_plant import NetworkPlant, free_parameters
+from tepm_opt.solvers.identification.identify import ParameterEstimate, Problem, identify
+from tepm_opt.solvers.kinematics.ik import solve_ik
+from tepm_opt.solvers.linear.gain import input_curve, solve_gain, workspace_map
+from tepm_opt.solvers.linear.modal_model import modal_model
+from tepm_opt.solvers.linear.modes import modes
+from tepm_opt.solvers.linear.reduction import balanced_reduction
+from tepm_opt.solvers.linear.state_space import linearise
+from tepm_opt.solvers.mechanics.network_plant import NetworkPlant, free_parameters
+from tepm_opt.solvers.mechanics.predict import predict
+from tepm_opt.solvers.mechanics.simulate import Directions, simulate
+from tepm_opt.solvers.mechanics.statics import solve_statics
 from tepm_opt.solvers.planning.family import FamilyFit, make_family
 from tepm_opt.solvers.planning.plan import plan_move
-from tepm_opt.solvers.predict import predict
-from tepm_opt.solvers.reduction import balanced_reduction
-from tepm_opt.solvers.simulate import Directions, simulate
-from tepm_opt.solvers.statics import solve_statics
 from tests.discrepancy.small import NOISE, cut, dataset_of, measured, planned
 from tests.discrepancy.test_report import LOCALISATION, VERDICT
 
@@ -87,7 +87,7 @@ SHOWN: dict[str, Callable[[Subjects], object]] = {
     "ParameterEstimate(solved": lambda s: replace(s.estimate, outcome=Outcome()),
     "ParameterEstimate(not converged": lambda s: replace(s.estimate, outcome=Outcome(Ending.NOT_CONVERGED)),
     "Linear(": lambda s: linearise(solve_statics(s.model, np.zeros(12))),
-    "System(": lambda s: linearise(solve_statics(s.model, np.zeros(12))).select("pressure", "s4"),
+    "Linear(216 states, 6 inputs, 3 outputs": lambda s: linearise(solve_statics(s.model, np.zeros(12))).select("pressure", "s4"),
     "Reduced(balanced": lambda s: balanced_reduction(linearise(solve_statics(s.model, np.zeros(12))), 6, None, "pressure", "s4"),
     "Mode(": lambda s: modes(linearise(solve_statics(s.model, np.zeros(12))))[0],
     "ModalModel(": lambda s: modal_model(solve_statics(s.model, np.zeros(12))),

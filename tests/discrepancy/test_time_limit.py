@@ -12,7 +12,7 @@ from tepm_opt.discrepancy.assessment.result import VerdictStatus
 from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.discrepancy.problem.time_limit import TimeLimit, TimeLimitError
 from tepm_opt.errors import InputError
-from tepm_opt.jobs.discrepancy import FITS, run_discrepancy
+from tepm_opt.jobs.discrepancy import FITS, DiscrepancyOptions, run_discrepancy
 from tests.discrepancy.test_quick_plants import NOISE, runs
 from tests.tank import write_plant, write_tank
 
@@ -34,7 +34,7 @@ def test_what_is_named_in_time_is_a_part_at_best(late: Path, tmp_path: Path, mon
     allowed = iter([False] * 8)
     monkeypatch.setattr(TimeLimit, "is_over", property(lambda self: self.minutes < 1e3 and next(allowed, True)))
     out, plant = tmp_path / "out", tmp_path / "tank.py"
-    early = run_discrepancy(late, out, plant=plant, minutes=1.0).verdict
+    early = run_discrepancy(late, out, plant=plant, options=DiscrepancyOptions(minutes=1.0)).verdict
     assert early.status in (VerdictStatus.PARTIAL, VerdictStatus.UNEXPLAINED)
     assert any(note.startswith("Time: the search ended after 1 minutes") for note in early.notes)
     assert early.command.startswith("tepm discrepancy")
@@ -63,7 +63,7 @@ def test_no_limit_is_never_over() -> None:
 @pytest.mark.parametrize("minutes", [0.0, -3.0, float("nan")])
 def test_no_time_at_all_is_refused(tmp_path: Path, minutes: float) -> None:
     with pytest.raises(InputError, match=r"--minutes: .* valid: above 0, such as 10"):
-        run_discrepancy(tmp_path, tmp_path / "out", minutes=minutes)
+        run_discrepancy(tmp_path, tmp_path / "out", options=DiscrepancyOptions(minutes=minutes))
 
 
 @pytest.mark.slow
@@ -77,7 +77,7 @@ def test_a_stand_in_is_not_certain_while_its_rival_is_untried(tmp_path: Path, mo
     folder, plant = write_tank(tmp_path / "data", measured, NOISE), write_plant(tmp_path / "tank.py", within=0.05)
     allowed = iter([False] * checks)
     monkeypatch.setattr(TimeLimit, "is_over", property(lambda self: next(allowed, True)))
-    verdict = run_discrepancy(folder, tmp_path / "out", plant=plant, minutes=1.0).verdict
+    verdict = run_discrepancy(folder, tmp_path / "out", plant=plant, options=DiscrepancyOptions(minutes=1.0)).verdict
     assert all(named.probability <= 0.5 for named in verdict.effects if named.candidate.name.endswith("_gain"))
 
 
@@ -99,7 +99,7 @@ def test_work_left_out_is_told() -> None:
 def test_without_any_time_nothing_is_decided(late: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The known parameters are fitted, nothing is screened, and the answer does not say that no known effect explains the rest."""
     monkeypatch.setattr(TimeLimit, "is_over", True)
-    verdict = run_discrepancy(late, tmp_path / "out", plant=tmp_path / "tank.py", minutes=1.0).verdict
+    verdict = run_discrepancy(late, tmp_path / "out", plant=tmp_path / "tank.py", options=DiscrepancyOptions(minutes=1.0)).verdict
     assert verdict.status is VerdictStatus.UNEXPLAINED
     assert verdict.paragraph.startswith("Undecided: the search ended before")
     (note,) = (note for note in verdict.notes if note.startswith("Time:"))

@@ -25,7 +25,7 @@ from tepm_opt.discrepancy.selection.cross_validation import Evidence
 from tepm_opt.discrepancy.selection.fitting import Hypothesis
 from tepm_opt.discrepancy.selection.forward_backward import Explanation
 from tepm_opt.discrepancy.selection.screening import Score
-from tepm_opt.solvers.plant import Free
+from tepm_opt.solvers.mechanics.plant import Free
 
 
 def run(file: str, seed: int, pressure: float) -> Run:

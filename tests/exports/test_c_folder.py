@@ -19,9 +19,9 @@ from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.model import Model
 from tepm_opt.models.robot import robot_text
 from tepm_opt.outcome import Ending
-from tepm_opt.solvers.gain import solve_gain
-from tepm_opt.solvers.simulate import simulate
-from tepm_opt.solvers.statics import solve_statics
+from tepm_opt.solvers.linear.gain import solve_gain
+from tepm_opt.solvers.mechanics.simulate import simulate
+from tepm_opt.solvers.mechanics.statics import solve_statics
 
 PERIOD, STEP, LATE = 0.05, 0.01, 0.07  # s; the second is LONGEST of example.c
 
@@ -174,7 +174,7 @@ def test_cmake_builds_it(kang: CompiledModel, tmp_path: Path, compiler: None) ->
 
 def test_the_controller_has_its_folder_too(kang: CompiledModel, tmp_path: Path, compiler: None) -> None:
     from tepm_opt.jobs.course import Course, whole_reference
-    from tepm_opt.solvers.trajectories import circle
+    from tepm_opt.solvers.planning.trajectories import circle
 
     reference = whole_reference(kang, circle(20, duration=2.0), Course(approach=1.0, pause=0.1, start_up=0.3))
     files = export_controller(kang, reference, tmp_path)

@@ -10,9 +10,9 @@ import pytest
 
 from tepm_opt.exports.casadi_files import export_casadi
 from tepm_opt.models.compile import CompiledModel, compile_model
-from tepm_opt.solvers.gain import solve_gain
-from tepm_opt.solvers.linear import linearise
-from tepm_opt.solvers.statics import Equilibrium, solve_statics
+from tepm_opt.solvers.linear.gain import solve_gain
+from tepm_opt.solvers.linear.state_space import linearise
+from tepm_opt.solvers.mechanics.statics import Equilibrium, solve_statics
 
 
 @pytest.fixture(scope="module")

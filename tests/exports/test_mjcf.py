@@ -12,8 +12,9 @@ from tepm_opt.exports.mjcf import export_mjcf, in_mujoco, mjcf
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.effects import effects
 from tepm_opt.models.robot import robot_text
-from tepm_opt.solvers.modes import rk4_step_limit, state_matrix
-from tepm_opt.solvers.statics import Equilibrium, solve_statics
+from tepm_opt.solvers.linear.modes import state_matrix
+from tepm_opt.solvers.mechanics.statics import Equilibrium, solve_statics
+from tepm_opt.solvers.mechanics.step_limit import rk4_step_limit
 
 
 def settled(path: Path, at: Equilibrium, tip_force: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ from tepm_opt.hw.ros.joints import RodChain
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import builtin_robots, load_robot
-from tepm_opt.solvers.statics import solve_statics
+from tepm_opt.solvers.mechanics.statics import solve_statics
 
 
 def numbers(element: Xml.Element | None, name: str) -> np.ndarray:

@@ -17,7 +17,7 @@ from tepm_opt.hw.simulation.rigtext import rig_text
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.robot import load_robot
-from tepm_opt.solvers.trajectories import circle
+from tepm_opt.solvers.planning.trajectories import circle
 from tests.hw.test_freshness import samples
 
 LAYOUT = Layout.from_robot(load_robot("kang2017"))

@@ -13,12 +13,12 @@ import pytest
 
 from tepm_opt.jobs.executors import processes, sweep
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.gain import workspace_map
-from tepm_opt.solvers.identify import Problem
-from tepm_opt.solvers.network_plant import NetworkPlant, free_parameters
-from tepm_opt.solvers.parallel import cores
-from tepm_opt.solvers.statics import solve_statics
-from tepm_opt.solvers.uncertainty import multi_start
+from tepm_opt.solvers.identification.identify import Problem
+from tepm_opt.solvers.identification.uncertainty import multi_start
+from tepm_opt.solvers.linear.gain import workspace_map
+from tepm_opt.solvers.mechanics.network_plant import NetworkPlant, free_parameters
+from tepm_opt.solvers.mechanics.statics import solve_statics
+from tepm_opt.solvers.numerics.parallel import cores
 from tests.data.made import make_dataset
 
 

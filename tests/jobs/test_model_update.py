@@ -11,11 +11,12 @@ import pytest
 
 from tepm_opt.errors import InputError
 from tepm_opt.jobs import model_update
+from tepm_opt.jobs.discrepancy import DiscrepancyOptions
 from tepm_opt.jobs.record import RigSource
 from tepm_opt.models.model import Model, write_model
 from tepm_opt.recording.plan import read_plan
 from tepm_opt.report.model_update import write_model_update_page
-from tepm_opt.solvers.trajectories import circle
+from tepm_opt.solvers.planning.trajectories import circle
 
 MODEL = Model.from_robot("kang2017")
 PLAN = Path(__file__).resolve().parents[2] / "docs" / "plan.toml"
@@ -32,8 +33,8 @@ class Parts:
     def record(self, plan: Any, folder: Path, *rest: Any) -> None:
         self.asked.append(f"record {folder.name}")
 
-    def run_discrepancy(self, folder: Path, out: Path, model: Path, seed: int, progress: Any, add: Sequence[Path]) -> None:
-        self.asked.append(f"discrepancy {' '.join(each.name for each in (folder, *add))}")
+    def run_discrepancy(self, folder: Path, out: Path, model: Path, options: DiscrepancyOptions, progress: Any) -> None:
+        self.asked.append(f"discrepancy {' '.join(each.name for each in (folder, *map(Path, options.add)))}")
         out.mkdir()
         effects = [{"name": "payload", "detail": None, "probability": 0.99, "parameters": {}}]
         content = {"status": self.statuses.pop(0), "effects": effects, "rmse_m": ERRORS, "paragraph": "It carries something."}
@@ -41,7 +42,7 @@ class Parts:
         (out / "verdict.json").write_text(json.dumps(content))
         write_model(MODEL.with_effect("payload", mass=0.05), out / "model.toml")
 
-    def run_next(self, found: Path, **rest: Any) -> Any:
+    def run_next(self, found: Path, *rest: Any, **more: Any) -> Any:
         self.asked.append(f"next {found.name}")
         if not self.separable:
             raise InputError("no run tells them apart")

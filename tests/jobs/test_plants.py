@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -60,8 +61,8 @@ class TestWhatLiesBeside:
         (data / "dataset.toml").write_text('name = "lags"\nruns = [{ file = "r.csv", role = "fit" }]\n[noise]\nx = 0.1\n')
         (data / "r.csv").write_text("time_s,u,x\n0,1,1\n1,1,1\n")
 
-        def asked(*arguments: object, **_: object) -> None:
-            keys.append(arguments[5])
+        def asked(*arguments: Any) -> None:
+            keys.append(arguments[4].key)
             raise KeyboardInterrupt
 
         monkeypatch.setattr("tepm_opt.jobs.discrepancy.discover", asked)

@@ -17,8 +17,8 @@ from tepm_opt.jobs.ik import run_ik
 from tepm_opt.jobs.modes import run_modes
 from tepm_opt.jobs.simulate import SimulationTask, run_simulation
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.statics import solve_statics
-from tepm_opt.solvers.trajectories import Trajectory, circle
+from tepm_opt.solvers.mechanics.statics import solve_statics
+from tepm_opt.solvers.planning.trajectories import Trajectory, circle
 from tepm_opt.studies.machines.run import Drive, Family, MachinesRun
 
 pandas = pytest.importorskip("pandas", reason="pandas is not installed (extra pandas)")

@@ -22,10 +22,10 @@ from tepm_opt.models.effects import _registry, effects, find_effect, register
 from tepm_opt.models.layout import VERTICAL, Layout
 from tepm_opt.models.memories import Lag, Memory
 from tepm_opt.models.model import Model, read_model, write_model
-from tepm_opt.solvers.gain import solve_gain
-from tepm_opt.solvers.modes import full
-from tepm_opt.solvers.simulate import Directions, simulate
-from tepm_opt.solvers.statics import Equilibrium, solve_statics
+from tepm_opt.solvers.linear.gain import solve_gain
+from tepm_opt.solvers.mechanics.simulate import Directions, simulate
+from tepm_opt.solvers.mechanics.statics import Equilibrium, solve_statics
+from tepm_opt.solvers.numerics.matrices import expand_band
 from tests.independent import solve_with_effect
 from tests.models.laws import written
 from tests.tools import PRECISE, observed, one_sided_slope, random_directions, random_inputs, relative, slope, with_all_effects, with_effect
@@ -394,8 +394,8 @@ def test_forces_come_from_a_potential_and_damping_dissipates(static, operating):
         rise = slope(lambda h: np.array([reference.energy(x + h * direction, P, theta)]), 1e-4)  # noqa: B023
         turn = slope(lambda h: reference.assemble(x + h * direction, P, theta).force.ravel(), 1e-4)  # noqa: B023
         assert rise[0] == pytest.approx(float((at.force * direction[1:]).sum()), rel=1e-7)
-        assert relative(full(at.band) @ direction[1:].ravel(), turn) < 1e-7
-    damping = np.linalg.eigvalsh(full(reference.assemble_damping(x, P, theta)))
+        assert relative(expand_band(at.band) @ direction[1:].ravel(), turn) < 1e-7
+    damping = np.linalg.eigvalsh(expand_band(reference.assemble_damping(x, P, theta)))
     assert damping[0] > -1e-12 * damping[-1]
 
 

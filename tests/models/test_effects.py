@@ -15,9 +15,9 @@ from tepm_opt.models.effects.payload import Payload
 from tepm_opt.models.layout import VERTICAL, Layout
 from tepm_opt.models.memories import Memory
 from tepm_opt.models.model import Model
-from tepm_opt.solvers.kinematics import solve_ik
-from tepm_opt.solvers.modes import poles
-from tepm_opt.solvers.statics import solve_statics
+from tepm_opt.solvers.kinematics.ik import solve_ik
+from tepm_opt.solvers.linear.modes import poles
+from tepm_opt.solvers.mechanics.statics import solve_statics
 from tests.independent import Network
 from tests.tools import in_company, random_inputs, variant, with_effect
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tepm_opt.models.compile import compile_model
-from tepm_opt.solvers.modes import full
+from tepm_opt.solvers.numerics.matrices import expand_band
 from tests.independent import Network
 from tests.tools import random_inputs, relative, slope, variant
 
@@ -32,7 +32,7 @@ def test_energy_force_and_stiffness_are_those_of_the_independent_network(kang, p
     assert kang.reference.energy(x, P, kang.theta) == pytest.approx(energy, rel=1e-13)
     assert at.energy == pytest.approx(energy, rel=1e-13)
     assert relative(at.force.ravel(), force) < 1e-13
-    assert relative(full(at.band), stiffness) < 1e-13
+    assert relative(expand_band(at.band), stiffness) < 1e-13
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -44,7 +44,7 @@ def test_force_is_the_slope_of_the_energy_and_stiffness_that_of_the_force(kang, 
     rise = slope(lambda h: np.array([kang.reference.energy(x + h * direction, P, kang.theta)]), 1e-4)
     assert rise[0] == pytest.approx(float((at.force * direction[1:]).sum()), rel=1e-8)
     turn = slope(lambda h: kang.reference.assemble(x + h * direction, P, kang.theta).force.ravel(), 1e-4)
-    assert relative(full(at.band) @ direction[1:].ravel(), turn) < 1e-7
+    assert relative(expand_band(at.band) @ direction[1:].ravel(), turn) < 1e-7
 
 
 def test_the_convex_stand_in_is_positive_semidefinite_where_the_stiffness_is_not(kang):
@@ -52,7 +52,7 @@ def test_the_convex_stand_in_is_positive_semidefinite_where_the_stiffness_is_not
     P = kang.reference.prepare(np.zeros(12), False, np.array([0] * 11 + [-3.0]), kang.theta)[1]
     x = kang.rest.copy()
     x[1:, 2::3] *= 0.95
-    smallest, convex = (np.linalg.eigvalsh(full(kang.reference.assemble(x, P, kang.theta, flag).band))[0] for flag in (False, True))
+    smallest, convex = (np.linalg.eigvalsh(expand_band(kang.reference.assemble(x, P, kang.theta, flag).band))[0] for flag in (False, True))
     assert smallest < -0.1
     assert convex > -1e-9
 
@@ -65,7 +65,7 @@ def test_the_damping_is_that_of_dashpots_along_the_edges(kang, point):
     other.rest = np.linalg.norm(nodes[other.ends[:, 1]] - nodes[other.ends[:, 0]], axis=1).reshape(12, -1)
     other.stiffness = np.full((12, 12), 15.50)
     expected = other.potential(x[1:].ravel(), np.zeros((12, 3)), np.zeros((12, 3)))[2]
-    found = full(kang.reference.assemble_damping(x, P, kang.theta))
+    found = expand_band(kang.reference.assemble_damping(x, P, kang.theta))
     assert relative(found, expected) < 1e-12
     assert np.linalg.eigvalsh(found)[0] > -1e-10
 

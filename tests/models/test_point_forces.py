@@ -14,9 +14,9 @@ from tepm_opt.models.effect import Effect, Parameter
 from tepm_opt.models.effects import register, unregister
 from tepm_opt.models.layout import VERTICAL
 from tepm_opt.models.model import Model
-from tepm_opt.solvers.linear import linearise
-from tepm_opt.solvers.simulate import Directions, simulate
-from tepm_opt.solvers.statics import solve_statics
+from tepm_opt.solvers.linear.state_space import linearise
+from tepm_opt.solvers.mechanics.simulate import Directions, simulate
+from tepm_opt.solvers.mechanics.statics import solve_statics
 from tests.tools import variant
 
 PLACE = np.array([0.0, 0.02, 0.3])

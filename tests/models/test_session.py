@@ -12,9 +12,9 @@ from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.effects import find_effect
 from tepm_opt.models.model import Model
-from tepm_opt.solvers.predict import predict
-from tepm_opt.solvers.simulate import Directions, simulate
-from tepm_opt.solvers.statics import solve_statics
+from tepm_opt.solvers.mechanics.predict import predict
+from tepm_opt.solvers.mechanics.simulate import Directions, simulate
+from tepm_opt.solvers.mechanics.statics import solve_statics
 from tests.tools import in_company, with_all_effects
 
 BEGAN = 40.0

@@ -22,7 +22,7 @@ from tepm_opt.models.dynamics import write_dynamics
 from tepm_opt.models.model import Model
 from tepm_opt.models.network import write_network
 from tepm_opt.models.robot import load_robot, robot_text
-from tepm_opt.solvers.statics import solve_statics
+from tepm_opt.solvers.mechanics.statics import solve_statics
 from tests.tools import random_inputs, variant
 
 STACK = 64 * 1024  # bytes, of the thread that works here; arrays of twelve segments would take more
@@ -41,7 +41,7 @@ def run_in_thread(code: str, stack: int, *arguments: str) -> subprocess.Complete
 EVERYTHING = """
 import numpy as np
 from tepm_opt import SetPoints, circle, compile_model, solve_gain, solve_ik, solve_statics
-from tepm_opt.solvers.simulate import Directions, simulate
+from tepm_opt.solvers.mechanics.simulate import Directions, simulate
 
 model = compile_model(sys.argv[1])
 model.stepper

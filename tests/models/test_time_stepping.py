@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.models.compile import compile_model
-from tepm_opt.solvers.simulate import Directions, simulate
+from tepm_opt.solvers.mechanics.simulate import Directions, simulate
 from tests.independent import Network
 from tests.models.test_backends import MODELS
 from tests.tools import relative

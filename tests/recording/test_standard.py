@@ -18,7 +18,7 @@ from tepm_opt.recording.plan import read_plan
 from tepm_opt.recording.probing import draw_pattern, random_run, vary_pattern
 from tepm_opt.recording.reach import BEND, Reach, reach_of, unbearable
 from tepm_opt.recording.standard import plan_text, sample_rate, standard_runs, wiring_runs
-from tepm_opt.solvers.statics import solve_statics
+from tepm_opt.solvers.mechanics.statics import solve_statics
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 

@@ -27,8 +27,8 @@ from tepm_opt.report.charts import MOST, Curve, Curves, Panel, discovery_charts
 from tepm_opt.report.demo import write_page
 from tepm_opt.report.discrepancy import write_discrepancy_page
 from tepm_opt.report.model_update import write_model_update_page
-from tepm_opt.solvers.choices import ActuationMode
-from tepm_opt.solvers.trajectories import circle
+from tepm_opt.solvers.kinematics.actuation_mode import ActuationMode
+from tepm_opt.solvers.planning.trajectories import circle
 from tepm_opt.studies.blind.page import write_blind_page
 from tepm_opt.studies.blind.run import BlindRun
 from tepm_opt.studies.blind.trial import TrialSeries

@@ -8,8 +8,8 @@ from scipy.optimize import linprog
 
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.devices import Devices
-from tepm_opt.solvers.kinematics import Configuration
-from tepm_opt.solvers.modal_model import ModalModel
+from tepm_opt.solvers.kinematics.ik import Configuration
+from tepm_opt.solvers.linear.modal_model import ModalModel
 
 STEPS = 40
 

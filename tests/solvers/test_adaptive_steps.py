@@ -8,7 +8,7 @@ import pytest
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.model import Model
-from tepm_opt.solvers.simulate import Directions, simulate
+from tepm_opt.solvers.mechanics.simulate import Directions, simulate
 from tests.models.test_backends import MODELS
 from tests.models.test_time_stepping import gentle
 from tests.tools import in_company, variant

@@ -6,8 +6,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from tepm_opt.models.compile import compile_model
-from tepm_opt.solvers.allocation import allocate, axial_forces, force_range
-from tepm_opt.solvers.choices import ActuationMode
+from tepm_opt.solvers.kinematics.actuation_mode import ActuationMode
+from tepm_opt.solvers.kinematics.allocation import allocate, axial_forces, force_range
 from tests.tools import in_company
 
 AREA, STEP = 50.27e-6, 4.5e3

@@ -6,8 +6,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from tepm_opt.models.compile import compile_model
-from tepm_opt.solvers.constant_curvature import arc_from_lengths, lengths_from_arc, lengths_from_tip, tip_from_lengths, transform
-from tepm_opt.solvers.statics import solve_statics
+from tepm_opt.solvers.kinematics.constant_curvature import arc_from_lengths, lengths_from_arc, lengths_from_tip, tip_from_lengths, transform
+from tepm_opt.solvers.mechanics.statics import solve_statics
 from tests.tools import variant
 
 RADIUS = 0.04

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from tepm_opt.data.run import Run
-from tepm_opt.solvers.identify import Problem, identify
-from tepm_opt.solvers.plant import Free, Prediction
+from tepm_opt.solvers.identification.identify import Problem, identify
+from tepm_opt.solvers.mechanics.plant import Free, Prediction
 
 NOISE, TIME = 1e-3, np.arange(0, 4, 0.02)
 TRUTH = {"size": 1.3, "lag": 0.7}

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from tepm_opt.errors import InputError
-from tepm_opt.solvers.choices import ActuationMode
-from tepm_opt.solvers.gain import gain_at, input_curve, solve_gain, workspace_map
-from tepm_opt.solvers.kinematics import solve_ik, solve_trajectory
-from tepm_opt.solvers.statics import solve_statics
-from tepm_opt.solvers.trajectories import circle
+from tepm_opt.solvers.kinematics.actuation_mode import ActuationMode
+from tepm_opt.solvers.kinematics.ik import solve_ik, solve_trajectory
+from tepm_opt.solvers.linear.gain import gain_at, input_curve, solve_gain, workspace_map
+from tepm_opt.solvers.mechanics.statics import solve_statics
+from tepm_opt.solvers.planning.trajectories import circle
 from tests.tools import PRECISE, random_directions, random_inputs, relative, slope
 
 AREA = 50.27e-6

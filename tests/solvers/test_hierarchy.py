@@ -11,10 +11,17 @@ import pytest
 from tepm_opt.data.run import Run
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.model import Model
-from tepm_opt.solvers.hierarchy import SMALLEST, compute_clustering_chances, identify_with_spreads, off_centre, spreads, with_spreads
-from tepm_opt.solvers.identify import Problem, identify
-from tepm_opt.solvers.network_plant import NetworkPlant
-from tepm_opt.solvers.plant import Free, Prediction
+from tepm_opt.solvers.identification.hierarchy import (
+    SMALLEST,
+    compute_clustering_chances,
+    identify_with_spreads,
+    off_centre,
+    spreads,
+    with_spreads,
+)
+from tepm_opt.solvers.identification.identify import Problem, identify
+from tepm_opt.solvers.mechanics.network_plant import NetworkPlant
+from tepm_opt.solvers.mechanics.plant import Free, Prediction
 
 NOISE, ROWS, MEMBERS = 1e-3, 40, 12
 

@@ -13,15 +13,15 @@ from scipy.optimize import lsq_linear
 from tepm_opt.data.run import Run
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel, compile_model
-from tepm_opt.solvers.identify import ParameterEstimate, Problem, identify
-from tepm_opt.solvers.least_squares import bounded_step
-from tepm_opt.solvers.network_plant import NetworkPlant, free_parameters
-from tepm_opt.solvers.plant import Free, Prediction, PredictionError
-from tepm_opt.solvers.predict import predict, predict_all
-from tepm_opt.solvers.residuals import normal_equations
-from tepm_opt.solvers.simulate import simulate
-from tepm_opt.solvers.statics import solve_statics
-from tepm_opt.solvers.uncertainty import multi_start, profile, unidentifiable
+from tepm_opt.solvers.identification.identify import ParameterEstimate, Problem, identify
+from tepm_opt.solvers.identification.residuals import normal_equations
+from tepm_opt.solvers.identification.uncertainty import multi_start, profile, unidentifiable
+from tepm_opt.solvers.mechanics.network_plant import NetworkPlant, free_parameters
+from tepm_opt.solvers.mechanics.plant import Free, Prediction, PredictionError
+from tepm_opt.solvers.mechanics.predict import predict, predict_all
+from tepm_opt.solvers.mechanics.simulate import simulate
+from tepm_opt.solvers.mechanics.statics import solve_statics
+from tepm_opt.solvers.numerics.least_squares import bounded_step
 from tests.discrepancy.small import FILES, NOISE, STEP, changed, measured, planned, true_values
 from tests.tools import in_company, random_inputs, relative, slope, stages_into
 
@@ -204,7 +204,7 @@ class TestRecovery:
             asked.append(len(names))
             return predict(model, run, names, *others)
 
-        monkeypatch.setattr("tepm_opt.solvers.network_plant.predict", watched)
+        monkeypatch.setattr("tepm_opt.solvers.mechanics.network_plant.predict", watched)
         aside = estimate.values + 2 * estimate.std * np.array([1, -1, 1, -1])
         free = tuple(replace(f, start=float(value)) for f, value in zip(estimate.problem.free, aside, strict=True))
         found = identify(replace(estimate.problem, free=free, derivatives_apart=0.04), near=True)

@@ -9,11 +9,11 @@ import pytest
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import compile_model
 from tepm_opt.outcome import Ending
-from tepm_opt.solvers.allocation import force_range
-from tepm_opt.solvers.choices import ActuationMode
-from tepm_opt.solvers.kinematics import IkSettings, each_configuration, solve_ik, solve_trajectory
-from tepm_opt.solvers.statics import Equilibrium, equilibrium, solve_statics
-from tepm_opt.solvers.trajectories import circle
+from tepm_opt.solvers.kinematics.actuation_mode import ActuationMode
+from tepm_opt.solvers.kinematics.allocation import force_range
+from tepm_opt.solvers.kinematics.ik import IkSettings, each_configuration, solve_ik, solve_trajectory
+from tepm_opt.solvers.mechanics.statics import Equilibrium, solve_actuated_statics, solve_statics
+from tepm_opt.solvers.planning.trajectories import circle
 from tests.tools import in_company, random_directions, variant
 
 AREA = 50.27e-6
@@ -45,7 +45,7 @@ def equal_curvature(model, first) -> Reachable | None:
     weights = np.hstack([np.zeros((3, 12)), -np.eye(3), np.eye(3)])
     forces, held = np.tile(first, 2), None
     for _ in range(25):
-        held = equilibrium(model, np.concatenate([forces / AREA, np.zeros(6)]), np.zeros((4, 3)), held, mapped=True)
+        held = solve_actuated_statics(model, np.concatenate([forces / AREA, np.zeros(6)]), np.zeros((4, 3)), held, explain=True)
         if not held.solved:
             return None
         different = held.lengths[1] - held.lengths[0]

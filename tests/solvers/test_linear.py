@@ -9,11 +9,11 @@ from scipy.signal import lsim
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import compile_model
-from tepm_opt.solvers.gain import solve_gain
-from tepm_opt.solvers.linear import Linear, linearise
-from tepm_opt.solvers.modes import modes, state_matrix
-from tepm_opt.solvers.simulate import simulate
-from tepm_opt.solvers.statics import Equilibrium, StaticsSettings, equilibrium, solve_statics
+from tepm_opt.solvers.linear.gain import solve_gain
+from tepm_opt.solvers.linear.modes import modes, state_matrix
+from tepm_opt.solvers.linear.state_space import Linear, linearise
+from tepm_opt.solvers.mechanics.simulate import simulate
+from tepm_opt.solvers.mechanics.statics import Equilibrium, StaticsSettings, solve_actuated_statics, solve_statics
 from tests.solvers.dynamics import with_dynamics
 
 BENT = np.array([1e5, 0, 2e5, 3e5, 1e5, 0, 1, 2, 3, 4, 5, 6.0])
@@ -168,7 +168,9 @@ def test_states_that_remember_have_names():
     """As many as there are, each once, also where some are taken out or a delay adds some."""
     linear = linearise(held("friction"))
     assert len(set(linear.state_names)) == len(linear.A)
-    assert set(linear.state_names) - set(linear.without_held_states().state_names) == set(linear.names[linear.held].tolist())
+    assert set(linear.state_names) - set(linear.without_held_states().state_names) == {
+        linear.state_names[k] for k in np.flatnonzero(linear.held)
+    }
     late = linearise(held("delay")).to_control(("pressure_11", "tension_11"), "s4", pade=2)
     assert late.state_labels[-4:] == [f"delay_{name}_11_{k}" for name in ("pressure", "tension") for k in (1, 2)]
     assert len(set(late.state_labels)) == late.nstates
@@ -193,7 +195,7 @@ def test_delay_by_pade():
 @pytest.mark.slow
 def test_effective_actuation_acts_at_once():
     model = compile_model(with_dynamics(**EFFECTS["lag"]))
-    mapped = linearise(equilibrium(model, BENT, model.check_loads(None), mapped=True))
+    mapped = linearise(solve_actuated_statics(model, BENT, model.check_loads(None)))
     assert "input" not in mapped.kinds
     commanded = linearise(solve_statics(model, BENT), actuators=False)
     np.testing.assert_allclose(mapped.B, commanded.B, atol=1e-12 * abs(commanded.B).max())

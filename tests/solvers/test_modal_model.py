@@ -6,12 +6,12 @@ import pytest
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.model import Model
-from tepm_opt.solvers.choices import ActuationMode
-from tepm_opt.solvers.kinematics import solve_trajectory
-from tepm_opt.solvers.linear import linearise
-from tepm_opt.solvers.modal_model import modal_model
-from tepm_opt.solvers.statics import solve_statics
-from tepm_opt.solvers.trajectories import circle
+from tepm_opt.solvers.kinematics.actuation_mode import ActuationMode
+from tepm_opt.solvers.kinematics.ik import solve_trajectory
+from tepm_opt.solvers.linear.modal_model import modal_model
+from tepm_opt.solvers.linear.state_space import linearise
+from tepm_opt.solvers.mechanics.statics import solve_statics
+from tepm_opt.solvers.planning.trajectories import circle
 from tests.tools import random_inputs, relative, variant
 
 FREQUENCIES = np.logspace(-1, np.log10(20), 12)  # Hz

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
-from tepm_opt.solvers.modes import full, poles, rk4_step_limit, state_matrix
-from tepm_opt.solvers.statics import solve_statics
+from tepm_opt.solvers.linear.modes import poles, state_matrix
+from tepm_opt.solvers.mechanics.statics import solve_statics
+from tepm_opt.solvers.mechanics.step_limit import rk4_step_limit
+from tepm_opt.solvers.numerics.matrices import expand_band
 from tests.independent import Network
 
 
@@ -60,4 +62,4 @@ def test_state_matrix_is_that_of_the_independent_network(kang, u):
 
 def test_full_matrix_from_its_band():
     band = np.array([[1.0, 2, 3], [4, 5, 0]])
-    np.testing.assert_array_equal(full(band), [[1, 4, 0], [4, 2, 5], [0, 5, 3]])
+    np.testing.assert_array_equal(expand_band(band), [[1, 4, 0], [4, 2, 5], [0, 5, 3]])

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from tepm_opt.models.compile import compile_model
-from tepm_opt.solvers.choices import ActuationMode
-from tepm_opt.solvers.gain import solve_gain
-from tepm_opt.solvers.kinematics import solve_ik
-from tepm_opt.solvers.statics import solve_statics
+from tepm_opt.solvers.kinematics.actuation_mode import ActuationMode
+from tepm_opt.solvers.kinematics.ik import solve_ik
+from tepm_opt.solvers.linear.gain import solve_gain
+from tepm_opt.solvers.mechanics.statics import solve_statics
 from tests.tools import PRECISE, random_inputs, relative, slope, variant
 
 FOUR = (0.0, 90.0, 180.0, 270.0)

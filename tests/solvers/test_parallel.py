@@ -9,8 +9,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from tepm_opt.solvers import parallel
-from tepm_opt.solvers.parallel import give_way, in_parallel, run_concurrently
+from tepm_opt.solvers.numerics import parallel
+from tepm_opt.solvers.numerics.parallel import give_way, in_parallel, run_concurrently
 
 
 @pytest.fixture(autouse=True)

@@ -13,14 +13,14 @@ from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.hw.simulation.rigfile import RigFile, load_rig_file
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.outcome import Ending, Outcome
-from tepm_opt.solvers.choices import Objective
-from tepm_opt.solvers.kinematics import solve_ik
+from tepm_opt.solvers.kinematics.ik import solve_ik
+from tepm_opt.solvers.mechanics.simulate import simulate
+from tepm_opt.solvers.mechanics.statics import solve_statics
+from tepm_opt.solvers.planning.objective import Objective
 from tepm_opt.solvers.planning.plan import PlanSettings, plan_move, plan_path
 from tepm_opt.solvers.planning.program import Box, Sphere
 from tepm_opt.solvers.planning.result import MotionPlan
-from tepm_opt.solvers.simulate import simulate
-from tepm_opt.solvers.statics import solve_statics
-from tepm_opt.solvers.trajectories import circle, line
+from tepm_opt.solvers.planning.trajectories import circle, line
 from tests.tools import in_company
 
 START, END = (0.15, 0.0, 0.35), (0.05, 0.0, 0.35)  # 100 mm apart

@@ -10,13 +10,13 @@ import pytest
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.devices import Devices
-from tepm_opt.solvers.kinematics import solve_ik
-from tepm_opt.solvers.modal_model import modal_model
+from tepm_opt.solvers.kinematics.ik import solve_ik
+from tepm_opt.solvers.linear.modal_model import modal_model
+from tepm_opt.solvers.mechanics.statics import solve_statics
 from tepm_opt.solvers.planning.linearised import Program
 from tepm_opt.solvers.planning.plan import FOR_LOOPS, PlanSettings, plan_move
 from tepm_opt.solvers.planning.result import MotionPlan
 from tepm_opt.solvers.planning.setpoints import Friction, residual_sway
-from tepm_opt.solvers.statics import solve_statics
 from tests.solvers.lowest_time import between, lowest_time
 
 START, END = (0.15, 0.0, 0.35), (0.05, 0.0, 0.35)  # 100 mm apart

@@ -11,12 +11,12 @@ from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.devices import Devices
 from tepm_opt.models.model import Model
 from tepm_opt.outcome import Ending
-from tepm_opt.solvers.choices import Objective
 from tepm_opt.solvers.planning.family import FamilyFit
+from tepm_opt.solvers.planning.objective import Objective
 from tepm_opt.solvers.planning.plan import PlanSettings, plan_move, plan_path
 from tepm_opt.solvers.planning.program import Sphere
 from tepm_opt.solvers.planning.result import MotionPlan
-from tepm_opt.solvers.trajectories import line
+from tepm_opt.solvers.planning.trajectories import line
 from tests.tools import variant
 
 START, END = (0.13, 0.0, 0.35), (0.09, 0.0, 0.35)

@@ -9,9 +9,9 @@ import pytest
 
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.adapters.equations import Equations
-from tepm_opt.solvers.identify import ParameterEstimate, Problem, identify
-from tepm_opt.solvers.plant import Free
-from tepm_opt.solvers.prior import JointPrior
+from tepm_opt.solvers.identification.identify import ParameterEstimate, Problem, identify
+from tepm_opt.solvers.identification.prior import JointPrior
+from tepm_opt.solvers.mechanics.plant import Free
 
 NOISE = 0.05
 

@@ -8,10 +8,10 @@ import pytest
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.model import Model
-from tepm_opt.solvers.linear import Linear, System, linearise
-from tepm_opt.solvers.modes import direction_in_words, modes, poles
-from tepm_opt.solvers.reduction import balanced_reduction, difference, modal
-from tepm_opt.solvers.statics import solve_statics
+from tepm_opt.solvers.linear.modes import direction_in_words, modes, poles
+from tepm_opt.solvers.linear.reduction import balanced_reduction, difference, modal
+from tepm_opt.solvers.linear.state_space import Linear, linearise
+from tepm_opt.solvers.mechanics.statics import solve_statics
 from tests.solvers.dynamics import with_dynamics
 
 BENT = np.array([1e5, 0, 2e5, 3e5, 1e5, 0, 1, 2, 3, 4, 5, 6.0])
@@ -33,7 +33,7 @@ def systems(kang) -> dict[str, Linear]:
     }
 
 
-def worst(reduced: System, whole: np.ndarray) -> float:
+def worst(reduced: Linear, whole: np.ndarray) -> float:
     """Largest difference over the sweep; `whole` is the full system's response."""
     return float(np.linalg.norm(whole - reduced.response(SWEEP, scaled=True), ord=2, axis=(1, 2)).max())
 
@@ -173,3 +173,14 @@ def test_memory_is_told_from_motion(systems):
 )
 def test_directions(direction, words):
     assert direction_in_words(np.array(direction, dtype=float)) == words
+
+
+def test_a_reduced_system_is_linear_again_but_has_no_modes(systems):
+    """Its operating point stays; what is selected of it is what is reduced of the selected."""
+    whole = balanced_reduction(systems["rest"], 12)
+    assert whole.equilibrium is systems["rest"].equilibrium
+    part = whole.select("pressure_11", "s4")
+    np.testing.assert_allclose(part.response(SWEEP), whole.response(SWEEP)[:, 9:12, :1], rtol=1e-9, atol=1e-18)
+    assert part.to_control(pade=0).state_labels == list(part.state_names) == [f"state_{k + 1}" for k in range(12)]
+    with pytest.raises(InputError, match="a reduced system has no motions of nodes"):
+        modes(whole)

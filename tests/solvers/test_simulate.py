@@ -11,9 +11,10 @@ from tepm_opt.errors import InputError
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.model import Model
 from tepm_opt.outcome import Ending
-from tepm_opt.solvers import simulate as module
-from tepm_opt.solvers.simulate import Directions, SimulationError, simulate, stable_step
-from tepm_opt.solvers.statics import solve_statics
+from tepm_opt.solvers.mechanics import simulate as module
+from tepm_opt.solvers.mechanics.simulate import Directions, SimulationError, simulate
+from tepm_opt.solvers.mechanics.statics import solve_statics
+from tepm_opt.solvers.mechanics.step_limit import stable_step
 from tests.models.test_time_stepping import gentle
 from tests.paths import reference
 from tests.tools import in_company, slope

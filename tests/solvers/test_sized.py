@@ -7,8 +7,8 @@ import pytest
 
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import compile_model
-from tepm_opt.solvers.sized import path_for
-from tepm_opt.solvers.trajectories import SHAPES
+from tepm_opt.solvers.planning.scaled_paths import path_for
+from tepm_opt.solvers.planning.trajectories import SHAPES
 
 
 def test_on_the_papers_robot_they_are_the_papers() -> None:

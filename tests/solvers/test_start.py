@@ -12,10 +12,10 @@ from scipy.optimize import least_squares
 from tepm_opt.data.run import Run, Start
 from tepm_opt.discrepancy.adapters.casadi_plant import CasadiPlant
 from tepm_opt.discrepancy.adapters.equations import Equations
-from tepm_opt.solvers.identify import Problem, identify
-from tepm_opt.solvers.plant import START
-from tepm_opt.solvers.residuals import Residual
-from tepm_opt.solvers.start import first, predictions, with_estimated_initial_state, without_start
+from tepm_opt.solvers.identification.identify import Problem, identify
+from tepm_opt.solvers.identification.initial_state import first, predictions, with_estimated_initial_state, without_start
+from tepm_opt.solvers.identification.residuals import Residual
+from tepm_opt.solvers.mechanics.plant import START
 
 NOISE = 1e-3
 TIME = np.arange(0, 2.0, 0.01)

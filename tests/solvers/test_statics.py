@@ -10,7 +10,7 @@ from tepm_opt.errors import InputError
 from tepm_opt.models.compile import compile_model
 from tepm_opt.models.model import Model
 from tepm_opt.outcome import Ending
-from tepm_opt.solvers.statics import StaticsSettings, solve_statics, without_inputs
+from tepm_opt.solvers.mechanics.statics import StaticsSettings, solve_statics, without_inputs
 from tests.independent import Network
 from tests.paths import reference
 from tests.tools import observed, random_directions, random_inputs, variant

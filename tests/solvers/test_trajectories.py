@@ -5,7 +5,7 @@ import pytest
 
 from tepm_opt.data.tables import write_table
 from tepm_opt.errors import InputError
-from tepm_opt.solvers.trajectories import circle, line, lissajous, read_trajectory
+from tepm_opt.solvers.planning.trajectories import circle, line, lissajous, read_trajectory
 
 
 def test_the_papers_circle():

@@ -15,7 +15,7 @@ from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.models.channels import channels_of
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.model import Model, write_model
-from tepm_opt.solvers.simulate import simulate
+from tepm_opt.solvers.mechanics.simulate import simulate
 
 KNOWN = Model.from_robot("kang2017")
 HEAVY = KNOWN.with_effect("payload", None, mass=0.03)

@@ -9,8 +9,8 @@ import pytest
 
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.outcome import Ending, Outcome
-from tepm_opt.solvers.choices import ActuationMode
-from tepm_opt.solvers.statics import solve_statics
+from tepm_opt.solvers.kinematics.actuation_mode import ActuationMode
+from tepm_opt.solvers.mechanics.statics import solve_statics
 from tepm_opt.studio import arm
 from tepm_opt.studio.arm import KINDS, drag_tip, off_grid, set_inputs
 from tests.tools import variant

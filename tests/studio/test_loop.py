@@ -20,7 +20,7 @@ from tepm_opt.jobs.course import Course
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.robot import load_robot
 from tepm_opt.outcome import Ending
-from tepm_opt.solvers.trajectories import Trajectory
+from tepm_opt.solvers.planning.trajectories import Trajectory
 from tepm_opt.studio.loop import LiveLoop, Moment, Pace, simulated_rig
 from tests.studio.recorded import bend
 

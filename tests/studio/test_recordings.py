@@ -15,7 +15,7 @@ from tepm_opt.errors import InputError
 from tepm_opt.models.channels import channels_of
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Ending, Outcome
-from tepm_opt.solvers.statics import solve_statics
+from tepm_opt.solvers.mechanics.statics import solve_statics
 from tepm_opt.studio import recordings
 from tepm_opt.studio.recordings import film, open_recordings
 from tests.studio.recorded import HEAVY, KNOWN, VERDICT, bend, heavy, write

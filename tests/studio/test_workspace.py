@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.kinematics import solve_ik
+from tepm_opt.solvers.kinematics.ik import solve_ik
 from tepm_opt.studio.workspace import WIDEST, Boundary, boundary
 
 

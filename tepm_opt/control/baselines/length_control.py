@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 
@@ -175,26 +175,32 @@ class HoldRecord:
         return f"HoldRecord({self.time[-1]:.2f} s, samples={len(self.time)}, targets={int(self.target.max()) + 1})"
 
 
-def hold(
-    rig: Rig,
-    controller: LengthController,
-    measure: Measure,
-    targets: list[LengthTarget],
-    seconds: float,
-    approach: float = 0.0,
-    progress: Progress = silent,
-) -> HoldRecord:
+@dataclass(frozen=True, eq=False)
+class HoldTask:
+    """Lengths to be held one after the other.
+
+    Attributes:
+        targets: in their order.
+        seconds: for each target.
+        approach: seconds before, in which the first target is approached along a straight line from the first sample's lengths.
+    """
+
+    targets: Sequence[LengthTarget]
+    seconds: float
+    approach: float = 0.0
+
+
+def hold(rig: Rig, controller: LengthController, measure: Measure, task: HoldTask, progress: Progress = silent) -> HoldRecord:
     """Hold one target after the other on a rig, each for some seconds; works on every rig.
 
     Args:
         rig: which; it is not stopped here.
         controller: of the lengths.
         measure: lengths of a sample, measured or estimated.
-        targets: in their order.
-        seconds: for each target.
-        approach: seconds before, in which the first target is approached along a straight line from the first sample's lengths.
+        task: targets and times.
         progress: told the time in s that has passed.
     """
+    targets, seconds, approach = task.targets, task.seconds, task.approach
     rows: list[tuple] = []
     start: float | None = None
     first: LengthTarget | None = None

@@ -26,7 +26,7 @@ from tepm_opt.control.references.reference import Reference
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.devices import Devices
-from tepm_opt.solvers.modal_model import modal_model
+from tepm_opt.solvers.linear.modal_model import modal_model
 
 SPACING = 10  # periods between the reference's points at which gains are taken
 WINDOW = 2  # periods on each side over which the reference is differentiated

@@ -16,7 +16,7 @@ from tepm_opt.control.collision.model import CollisionModel
 if TYPE_CHECKING:
     from tepm_opt.control.mpc.prediction import CondensedOcp
     from tepm_opt.control.references.reference import Reference
-    from tepm_opt.solvers.modal_model import ModalModel
+    from tepm_opt.solvers.linear.modal_model import ModalModel
 
 ROWS = 40  # of the program: the least distances over stages, points and obstacles
 PRESSED = 1e-3  # m within a margin, as it is foreseen, from which the pressures take their whole part in the feedback

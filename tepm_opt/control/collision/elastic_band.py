@@ -20,10 +20,10 @@ from tepm_opt.control.references.reference import Reference
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.progress import Progress, silent
-from tepm_opt.solvers.allocation import force_range
-from tepm_opt.solvers.choices import ActuationMode
-from tepm_opt.solvers.modal_model import ModalModel, modal_model
-from tepm_opt.solvers.statics import Equilibrium, equilibrium
+from tepm_opt.solvers.kinematics.actuation_mode import ActuationMode
+from tepm_opt.solvers.kinematics.allocation import force_range
+from tepm_opt.solvers.linear.modal_model import ModalModel, modal_model
+from tepm_opt.solvers.mechanics.statics import Equilibrium, solve_actuated_statics
 
 TIP, FORCE = 1e-3, 1.0  # m and N that cost the same
 STIFF = 3e3  # how much more a millimetre within the margin costs than one of the tip; likewise a newton beyond the range
@@ -81,7 +81,7 @@ def detour(model: CompiledModel, reference: Reference, keep_out: CollisionModel,
 def _balance(model: CompiledModel, forces: np.ndarray, start: Equilibrium) -> Equilibrium:
     """The equilibrium of axial forces (actuators,) in N, from one nearby."""
     inputs = np.concatenate([forces / model.values["A"], np.zeros(len(forces))])
-    return equilibrium(model, inputs, model.check_loads(None), start, mapped=True, explain=False)
+    return solve_actuated_statics(model, inputs, model.check_loads(None), start)
 
 
 def _stretches(touches: np.ndarray, reach: int) -> Iterator[slice]:

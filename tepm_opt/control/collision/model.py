@@ -14,12 +14,12 @@ import numpy as np
 
 from tepm_opt.control.collision.geometry import Obstacles
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.statics import solve_statics
+from tepm_opt.solvers.mechanics.statics import solve_statics
 
 if TYPE_CHECKING:
     from tepm_opt.control.estimation.kalman_filter import StateEstimate
-    from tepm_opt.solvers.modal_model import ModalModel
-    from tepm_opt.solvers.statics import Equilibrium
+    from tepm_opt.solvers.linear.modal_model import ModalModel
+    from tepm_opt.solvers.mechanics.statics import Equilibrium
 
 DISTANCE, TRUE_DISTANCE, OBSTACLE, POINT = "distance_m", "true_distance_m", "nearest_obstacle", "nearest_point"  # columns of the log
 

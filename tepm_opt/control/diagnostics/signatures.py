@@ -18,7 +18,7 @@ from tepm_opt.control.references.reference import Reference
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.devices import Devices
-from tepm_opt.solvers.modal_model import ModalModel, modal_model
+from tepm_opt.solvers.linear.modal_model import ModalModel, modal_model
 
 BLOCK = 10  # samples in a row of the regressions
 ATMOSPHERE = 101_325.0  # Pa

@@ -1,6 +1,6 @@
 """Kalman filter for the arm's slow motion, unknown axial forces, strength, friction and what the tracked points are off by.
 
-The state is [q, q', d, g, c, h, b]: modal coordinates about an operating point (see `solvers.modal_model`), axial forces that nobody
+The state is [q, q', d, g, c, h, b]: modal coordinates about an operating point (see `solvers.linear.modal_model`), axial forces that nobody
 commanded, by what part each muscle is stronger than the model has it, its dry friction, what its force stays behind where its pressure
 turns over (hysteresis), and biases of the reference points. Forces that wander and a bias of the tip that does not fade make the tip
 nearly free of offset (Pannocchia and Rawlings, Disturbance models for offset-free model-predictive control, AIChE J. 49, 2003).
@@ -18,7 +18,7 @@ from scipy.special import chdtri
 
 from tepm_opt.control.estimation.dahl_friction import dahl_step
 from tepm_opt.errors import InputError
-from tepm_opt.solvers.modal_model import ModalModel
+from tepm_opt.solvers.linear.modal_model import ModalModel
 
 
 @dataclass(frozen=True)

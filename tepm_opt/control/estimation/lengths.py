@@ -9,7 +9,7 @@ import numpy as np
 from tepm_opt.errors import InputError
 from tepm_opt.models.backends.interface import Status
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.statics import Equilibrium, equilibrium
+from tepm_opt.solvers.mechanics.statics import Equilibrium, solve_actuated_statics
 
 
 @dataclass(frozen=True)
@@ -106,4 +106,4 @@ class LengthEstimator:
 
     def _solve_equilibrium(self, forces: np.ndarray, start: Equilibrium | None) -> Equilibrium:
         effective = np.concatenate([forces / self._area, np.zeros(self._half)])
-        return equilibrium(self.model, effective, self._loads, start, mapped=True, explain=False)
+        return solve_actuated_statics(self.model, effective, self._loads, start)

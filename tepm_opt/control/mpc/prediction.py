@@ -9,7 +9,7 @@ import scipy.linalg as sla
 
 from tepm_opt.control.estimation.kalman_filter import DiscreteModalModel
 from tepm_opt.control.references.reference import Reference
-from tepm_opt.solvers.modal_model import ModalModel
+from tepm_opt.solvers.linear.modal_model import ModalModel
 
 RIDGE = 2e-3  # m/N: directions of the forces that move the points less are not used to accelerate them
 NOTHING = 1e-6  # m/N: what moves the tip less does not move it (a tip on a guide)

@@ -15,7 +15,7 @@ from tepm_opt.control.estimation.kalman_filter import DiscreteModalModel, Estima
 from tepm_opt.control.mpc.compiled.layout import count_kept_points
 from tepm_opt.control.mpc.compiled.setup import StepSetup
 from tepm_opt.hw.rig import Sample
-from tepm_opt.solvers.modal_model import ModalModel, modal_model
+from tepm_opt.solvers.linear.modal_model import ModalModel, modal_model
 
 
 class OperatingPoints:

@@ -13,10 +13,10 @@ from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.progress import Progress, silent, track
 from tepm_opt.renamed import RenamedMethod
-from tepm_opt.solvers.choices import ActuationMode
-from tepm_opt.solvers.kinematics import IkSettings, each_configuration
-from tepm_opt.solvers.statics import Equilibrium, solve_statics
-from tepm_opt.solvers.trajectories import Trajectory
+from tepm_opt.solvers.kinematics.actuation_mode import ActuationMode
+from tepm_opt.solvers.kinematics.ik import IkSettings, each_configuration
+from tepm_opt.solvers.mechanics.statics import Equilibrium, solve_statics
+from tepm_opt.solvers.planning.trajectories import Trajectory
 
 if TYPE_CHECKING:
     from tepm_opt.control.collision.model import CollisionModel

@@ -19,10 +19,10 @@ from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.devices import Devices
 from tepm_opt.progress import Progress, silent, track
-from tepm_opt.solvers.choices import ActuationMode
-from tepm_opt.solvers.kinematics import IkSettings, each_configuration
-from tepm_opt.solvers.modal_model import modal_model
-from tepm_opt.solvers.trajectories import Trajectory
+from tepm_opt.solvers.kinematics.actuation_mode import ActuationMode
+from tepm_opt.solvers.kinematics.ik import IkSettings, each_configuration
+from tepm_opt.solvers.linear.modal_model import modal_model
+from tepm_opt.solvers.planning.trajectories import Trajectory
 
 POINTS = 256  # of the path at which speeds are found
 ROUNDED = 0.01  # of the path over which speeds are rounded

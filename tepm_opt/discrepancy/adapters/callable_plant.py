@@ -25,7 +25,7 @@ from tepm_opt.data.signals import Signals
 from tepm_opt.discrepancy.laws.effect import At, Law
 from tepm_opt.discrepancy.problem.parameters import DescribedPlant, MachineDescription
 from tepm_opt.errors import InputError
-from tepm_opt.solvers.plant import START, Prediction, PredictionError
+from tepm_opt.solvers.mechanics.plant import START, Prediction, PredictionError
 
 Simulate = Callable[[Run, Mapping[str, Any]], np.ndarray]
 

@@ -12,13 +12,13 @@ from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.adapters.inputs import Between, append_delayed, inputs_at_steps, refine_time_grid, sample_steps
 from tepm_opt.discrepancy.adapters.motion import Motion
 from tepm_opt.discrepancy.problem.parameters import DescribedPlant
-from tepm_opt.solvers.parallel import give_way
-from tepm_opt.solvers.plant import START, Prediction, PredictionError
+from tepm_opt.solvers.mechanics.plant import START, Prediction, PredictionError
+from tepm_opt.solvers.numerics.parallel import give_way
 
 
 @dataclass(frozen=True, eq=False)
 class CasadiPlant(DescribedPlant):
-    """A machine given by equations, see `solvers.plant.Plant` and `plant.SearchablePlant`; made by `equations.Equations`.
+    """A machine given by equations, see `solvers.mechanics.plant.Plant` and `plant.SearchablePlant`; made by `equations.Equations`.
 
     Attributes:
         motion: its equations.

@@ -10,7 +10,7 @@ import numpy as np
 
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.problem.plant import SearchablePlant
-from tepm_opt.solvers.plant import PredictionError
+from tepm_opt.solvers.mechanics.plant import PredictionError
 
 ROWS = 200  # samples that are simulated to measure the time
 SEARCH = (50, 1000)  # simulations that a search is worth: 40 (silverbox, one effect) to 1,100 (cascaded tanks, nothing explains)

@@ -97,7 +97,7 @@ class Equations(MachineDescription):
         """
         units = {"force": {"m": "N", "rad": "N m"}.get(unit, ""), "speed": f"{unit}/s" if unit else "", "position": unit}
         sizes = self._sizes(name, force=force, speed=speed, position=position, time=self.time)
-        return self._sum_effects("axis", name, sizes, units, q, v, ca.SX(0))
+        return self._sum_effects("axis", name, sizes, units, q, v)
 
     def mass(self, name: str, size: float) -> ca.SX:
         """Add a mass that may hang at a place; returns it in kg, for the equations to give it weight and inertia.
@@ -144,7 +144,7 @@ class Equations(MachineDescription):
             last: whether there is no next vessel.
         """
         sizes = self._sizes(name, position=size, time=self.time)
-        lost = self._sum_effects("last vessel" if last else "vessel", name, sizes, {"position": unit}, level, rate, ca.SX(2, 1))
+        lost = ca.SX(2, 1) + self._sum_effects("last vessel" if last else "vessel", name, sizes, {"position": unit}, level, rate)
         self.rate(level, rate - lost[0])
         return lost[1]
 
@@ -203,9 +203,10 @@ class Equations(MachineDescription):
         return [law for law in self.laws if law.part in {part, f"any {part.split()[-1]}"}]
 
     def _sum_effects(
-        self, part: str, name: str, sizes: Mapping[str, float], units: Mapping[str, str], position: ca.SX, speed: ca.SX, total: ca.SX
+        self, part: str, name: str, sizes: Mapping[str, float], units: Mapping[str, str], position: ca.SX, speed: ca.SX
     ) -> ca.SX:
-        """Add all effects on a part of this kind and name to `total`; their states begin at 0."""
+        """Sum of all effects on a part of this kind and name, 0 without any; their states begin at 0."""
+        total = ca.SX(0)
         for law in self._laws(part):
             total += self.effect(law, name, sizes, units, position=position, speed=speed)
         return total

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.signal import resample_poly
 
 from tepm_opt.data.run import Run
-from tepm_opt.solvers.plant import PredictionError
+from tepm_opt.solvers.mechanics.plant import PredictionError
 
 Between = Literal["hold", "line", "band"]
 

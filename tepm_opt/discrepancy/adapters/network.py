@@ -17,7 +17,7 @@ from tepm_opt.models.effects import effects, find_effect
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.model import Model
 from tepm_opt.models.robot import UNITS
-from tepm_opt.solvers.network_plant import NetworkPlant
+from tepm_opt.solvers.mechanics.network_plant import NetworkPlant
 
 PARAMETER = "parameter"  # the cause that a value of the robot file is wrong
 

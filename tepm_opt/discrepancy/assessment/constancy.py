@@ -11,9 +11,9 @@ from tepm_opt.data.run import Run, RunSet
 from tepm_opt.discrepancy.assessment.settings import DEFAULT, AssessmentSettings
 from tepm_opt.discrepancy.problem.plant import Candidate, restrict_effects_to_runs, without_run_restriction
 from tepm_opt.discrepancy.selection.linearised import Cell, Linearised
-from tepm_opt.solvers.identify import ParameterEstimate
-from tepm_opt.solvers.plant import Plant, PredictionError
-from tepm_opt.solvers.residuals import independent_after
+from tepm_opt.solvers.identification.identify import ParameterEstimate
+from tepm_opt.solvers.identification.residuals import independent_after
+from tepm_opt.solvers.mechanics.plant import Plant, PredictionError
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,8 @@ from tepm_opt.discrepancy.selection.matching_pursuit import odds
 from tepm_opt.discrepancy.selection.significance import is_significant
 from tepm_opt.discrepancy.symbolic.places import ALL, Place
 from tepm_opt.discrepancy.symbolic.score import Scored, alternatives
-from tepm_opt.solvers.hierarchy import compute_clustering_chances, off_centre
-from tepm_opt.solvers.identify import ParameterEstimate
+from tepm_opt.solvers.identification.hierarchy import compute_clustering_chances, off_centre
+from tepm_opt.solvers.identification.identify import ParameterEstimate
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,23 +97,34 @@ def _acts_like(effect: Candidate, place: Place) -> bool:
     return place.kind == "force" or place.target == (effect.detail or ALL) or effect.name == PARAMETER
 
 
+@dataclass(frozen=True, eq=False)
+class EffectChecks:
+    """Checks of single effects.
+
+    Attributes:
+        laws: that compete with effects besides their rivals.
+        constancy: sizes of effects in segments of the data.
+    """
+
+    laws: Mapping[Candidate, AlternativeLaw] = field(default_factory=dict)
+    constancy: Mapping[Candidate, Mapping[str, SegmentSizes]] = field(default_factory=dict)
+
+
 def assess(
-    explanation: Explanation, errors: Errors, settings: SearchSettings, unseen: bool, laws: Mapping[Candidate, AlternativeLaw],
-    constancy: Mapping[Candidate, Mapping[str, SegmentSizes]], modules: int = 1, thresholds: AssessmentSettings = DEFAULT,
+    explanation: Explanation, unseen: Errors | None, settings: SearchSettings, checks: EffectChecks, modules: int = 1,
+    thresholds: AssessmentSettings = DEFAULT,
 ) -> Judgement:  # fmt: skip
     """Assess the best hypothesis: kind of answer, probabilities of its effects, objections.
 
     Args:
         explanation: result of the search.
-        errors: of the models, on runs not used where there are such.
+        unseen: errors of the models on runs not used; None where there are no such.
         settings: of the search.
-        unseen: whether there are runs not used.
-        laws: that compete with effects besides their rivals.
-        constancy: sizes of effects in segments of the data.
+        checks: of single effects.
         modules: alike modules of the machine, see `SearchablePlant.modules`.
         thresholds: of the assessment.
     """
-    best = explanation.best
+    best, laws, constancy = explanation.best, checks.laws, checks.constancy
     if not best.effects:
         only_noise = explanation.without.only_noise(settings)
         return Judgement(VerdictStatus.NO_DISCREPANCY if only_noise else VerdictStatus.UNEXPLAINED)
@@ -137,10 +148,10 @@ def assess(
     if not listed:
         return Judgement(VerdictStatus.UNEXPLAINED, cause, remarks=tuple(_vague(vague)))
     most = {effect: max(p for of, _, _, p in listed if of == effect) for effect in best.effects if effect not in vague}
-    refuted = [e for e in best.effects if e.runs] if unseen and increases_validation_error(errors, thresholds) else []
+    refuted = [e for e in best.effects if e.runs] if unseen and increases_validation_error(unseen, thresholds) else []
     if refuted:  # what acts in runs of its own has no excuse for spoiling others
         status = VerdictStatus.UNEXPLAINED
-    elif unseen and not reduces_validation_error(errors, thresholds):
+    elif unseen and not reduces_validation_error(unseen, thresholds):
         status = VerdictStatus.PARTIAL
     elif unclear and all(cause[effect] >= settings.min_listed_probability for effect in best.effects):
         status = VerdictStatus.INDISTINGUISHABLE

@@ -10,7 +10,7 @@ from tepm_opt.data.signals import Signals
 from tepm_opt.discrepancy.assessment.result import Place
 from tepm_opt.discrepancy.assessment.row_choices import ALONE
 from tepm_opt.discrepancy.assessment.settings import AssessmentSettings
-from tepm_opt.solvers.text import quantity
+from tepm_opt.solvers.numerics.text import quantity
 
 
 def describe_locations(

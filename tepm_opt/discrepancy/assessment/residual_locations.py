@@ -17,7 +17,7 @@ from tepm_opt.discrepancy.assessment.residual_samples import Found, ResidualSamp
 from tepm_opt.discrepancy.assessment.result import Place
 from tepm_opt.discrepancy.assessment.row_choices import Choice, list_choices
 from tepm_opt.discrepancy.assessment.settings import DEFAULT, AssessmentSettings
-from tepm_opt.solvers.text import quantity
+from tepm_opt.solvers.numerics.text import quantity
 
 
 @dataclass(frozen=True, eq=False)

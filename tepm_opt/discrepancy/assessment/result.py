@@ -16,7 +16,7 @@ from tepm_opt.data.frames import Tabular
 from tepm_opt.discrepancy.assessment.settings import DEFAULT, AssessmentSettings
 from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.discrepancy.setup.errors import SetupError
-from tepm_opt.solvers.text import format_names, html_table, shorten
+from tepm_opt.solvers.numerics.text import format_names, html_table, shorten
 
 
 class VerdictStatus(Enum):

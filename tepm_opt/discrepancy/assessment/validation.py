@@ -17,10 +17,10 @@ from tepm_opt.discrepancy.preparation.time_step import PRECISE_STEP
 from tepm_opt.discrepancy.problem.plant import SearchablePlant
 from tepm_opt.discrepancy.selection.fitting import Fits
 from tepm_opt.discrepancy.selection.forward_backward import Explanation
-from tepm_opt.solvers.identify import ParameterEstimate, identify
-from tepm_opt.solvers.parallel import run_concurrently
-from tepm_opt.solvers.plant import Plant, PredictionError
-from tepm_opt.solvers.start import predictions
+from tepm_opt.solvers.identification.identify import ParameterEstimate, identify
+from tepm_opt.solvers.identification.initial_state import predictions
+from tepm_opt.solvers.mechanics.plant import Plant, PredictionError
+from tepm_opt.solvers.numerics.parallel import run_concurrently
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,8 +16,8 @@ from tepm_opt.discrepancy.baseline.settings import DEFAULT, BaselineSettings
 from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.cross_validation import Evidence, leave_out
-from tepm_opt.solvers.identify import ParameterEstimate, Problem, identify
-from tepm_opt.solvers.prior import JointPrior
+from tepm_opt.solvers.identification.identify import ParameterEstimate, Problem, identify
+from tepm_opt.solvers.identification.prior import JointPrior
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,8 +13,8 @@ from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.baseline.settings import DEFAULT, BaselineSettings
 from tepm_opt.discrepancy.selection.cross_validation import Evidence
 from tepm_opt.errors import InputError
-from tepm_opt.solvers.identify import ParameterEstimate
-from tepm_opt.solvers.residuals import independent_after
+from tepm_opt.solvers.identification.identify import ParameterEstimate
+from tepm_opt.solvers.identification.residuals import independent_after
 
 
 @dataclass(frozen=True, eq=False)

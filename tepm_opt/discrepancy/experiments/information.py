@@ -11,8 +11,8 @@ from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.experiments.settings import DEFAULT, ExperimentSettings
 from tepm_opt.discrepancy.problem.plant import Candidate, SearchablePlant, free_candidate_parameters
 from tepm_opt.discrepancy.problem.settings import SearchSettings
-from tepm_opt.solvers.parallel import in_parallel
-from tepm_opt.solvers.plant import Free, PredictionError
+from tepm_opt.solvers.mechanics.plant import Free, PredictionError
+from tepm_opt.solvers.numerics.parallel import in_parallel
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,8 @@ import numpy as np
 
 from tepm_opt.data.run import Run, thin_out
 from tepm_opt.discrepancy.problem.plant import without_run_restriction
-from tepm_opt.solvers.identify import ParameterEstimate
-from tepm_opt.solvers.plant import Plant, PredictionError
+from tepm_opt.solvers.identification.identify import ParameterEstimate
+from tepm_opt.solvers.mechanics.plant import Plant, PredictionError
 
 
 @dataclass(frozen=True, eq=False)

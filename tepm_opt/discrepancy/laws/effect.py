@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 
 from tepm_opt.discrepancy.problem.plant import Candidate, Stage
-from tepm_opt.solvers.plant import Free
+from tepm_opt.solvers.mechanics.plant import Free
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ import numpy as np
 from tepm_opt.data.run import Run
 from tepm_opt.data.signals import Signals
 from tepm_opt.discrepancy.preparation.settings import DEFAULT, PreparationSettings
-from tepm_opt.solvers.residuals import Residual
-from tepm_opt.solvers.text import format_names, quantity
+from tepm_opt.solvers.identification.residuals import Residual
+from tepm_opt.solvers.numerics.text import format_names, quantity
 
 
 @dataclass(frozen=True, eq=False)

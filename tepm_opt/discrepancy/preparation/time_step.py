@@ -8,9 +8,9 @@ import numpy as np
 
 from tepm_opt.data.run import RunSet
 from tepm_opt.discrepancy.problem.settings import SearchSettings
-from tepm_opt.solvers.plant import Plant, PredictionError
-from tepm_opt.solvers.predict import LONGEST_STEP
-from tepm_opt.solvers.start import predictions
+from tepm_opt.solvers.identification.initial_state import predictions
+from tepm_opt.solvers.mechanics.plant import Plant, PredictionError
+from tepm_opt.solvers.mechanics.predict import LONGEST_STEP
 
 PRECISE_STEP = 0.01  # s, of predictions that are reported
 

@@ -12,7 +12,7 @@ from tepm_opt.data.run import Run
 from tepm_opt.data.signals import Signals
 from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.errors import InputError, unknown_name
-from tepm_opt.solvers.plant import Free
+from tepm_opt.solvers.mechanics.plant import Free
 
 
 @dataclass

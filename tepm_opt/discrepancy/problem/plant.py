@@ -1,4 +1,4 @@
-"""Candidate effects, and the interface of a plant in which they may be missing (extends `solvers.plant.Plant`)."""
+"""Candidate effects, and the interface of a plant in which they may be missing (extends `solvers.mechanics.plant.Plant`)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from tepm_opt.data.run import Run
 from tepm_opt.data.signals import Signals
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.plant import Free, Plant, Prediction
+from tepm_opt.solvers.mechanics.plant import Free, Plant, Prediction
 
 Stage = Literal["input", "body", "output"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from tepm_opt.discrepancy.problem.plant import Candidate
-from tepm_opt.solvers.plant import Plant
+from tepm_opt.solvers.mechanics.plant import Plant
 
 
 @dataclass(frozen=True)

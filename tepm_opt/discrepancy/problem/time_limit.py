@@ -6,8 +6,8 @@ import time
 from dataclasses import dataclass, field
 
 from tepm_opt.discrepancy.problem.plant import Candidate
-from tepm_opt.solvers.plant import PredictionError
-from tepm_opt.solvers.text import format_names
+from tepm_opt.solvers.mechanics.plant import PredictionError
+from tepm_opt.solvers.numerics.text import format_names
 
 
 class TimeLimitError(PredictionError):

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tepm_opt.discrepancy.assessment.result import Named, Verdict, VerdictStatus
-from tepm_opt.solvers.text import format_names, percent, with_deviation
+from tepm_opt.solvers.numerics.text import format_names, percent, with_deviation
 
 HEAD = ("effect", "where", "size ± std", "probability", "gap only it closes")
 WHERE = HEAD.index("where")

@@ -20,7 +20,7 @@ from tepm_opt.discrepancy.selection.fitting import Hypothesis
 from tepm_opt.discrepancy.selection.forward_backward import Explanation
 from tepm_opt.discrepancy.setup.errors import foreign_run, late_run
 from tepm_opt.discrepancy.state import Assessed
-from tepm_opt.solvers.identify import ParameterEstimate
+from tepm_opt.solvers.identification.identify import ParameterEstimate
 
 
 def build_verdict(state: Assessed) -> Verdict:

@@ -18,9 +18,9 @@ from tepm_opt.discrepancy.selection.alternatives import coincidence
 from tepm_opt.discrepancy.selection.fitting import Hypothesis
 from tepm_opt.discrepancy.selection.forward_backward import Explanation
 from tepm_opt.discrepancy.selection.screening import Score
-from tepm_opt.solvers.identify import ParameterEstimate
-from tepm_opt.solvers.text import format_quantity, percent
-from tepm_opt.solvers.uncertainty import unidentifiable
+from tepm_opt.solvers.identification.identify import ParameterEstimate
+from tepm_opt.solvers.identification.uncertainty import unidentifiable
+from tepm_opt.solvers.numerics.text import format_quantity, percent
 
 ONE_CLOCK = "put inputs and positions on one clock"
 

@@ -10,11 +10,11 @@ from scipy.stats import chi2, norm
 
 from tepm_opt.data.run import Run
 from tepm_opt.discrepancy.problem.settings import SearchSettings
-from tepm_opt.solvers.identify import ParameterEstimate
-from tepm_opt.solvers.least_squares import bounded_step
-from tepm_opt.solvers.parallel import in_parallel
-from tepm_opt.solvers.plant import PredictionError
-from tepm_opt.solvers.residuals import Residual, independent_after
+from tepm_opt.solvers.identification.identify import ParameterEstimate
+from tepm_opt.solvers.identification.residuals import Residual, independent_after
+from tepm_opt.solvers.mechanics.plant import PredictionError
+from tepm_opt.solvers.numerics.least_squares import bounded_step
+from tepm_opt.solvers.numerics.parallel import in_parallel
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,8 +12,8 @@ from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.fitting import Fits, Hypothesis
 from tepm_opt.discrepancy.selection.matching_pursuit import form_error_allowance
 from tepm_opt.discrepancy.selection.significance import is_significant
-from tepm_opt.solvers.parallel import in_parallel
-from tepm_opt.solvers.plant import PredictionError
+from tepm_opt.solvers.mechanics.plant import PredictionError
+from tepm_opt.solvers.numerics.parallel import in_parallel
 
 Shares = dict[Candidate, float]
 

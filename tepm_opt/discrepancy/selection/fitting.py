@@ -21,10 +21,10 @@ from tepm_opt.discrepancy.selection.linearised import Linearised, linearise
 from tepm_opt.discrepancy.selection.screening import Score, screen
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent
-from tepm_opt.solvers.identify import OUT_OF_REACH, ParameterEstimate, Problem, identify
-from tepm_opt.solvers.parallel import in_parallel
-from tepm_opt.solvers.plant import PredictionError
-from tepm_opt.solvers.text import format_names, shorten
+from tepm_opt.solvers.identification.identify import OUT_OF_REACH, ParameterEstimate, Problem, identify
+from tepm_opt.solvers.mechanics.plant import PredictionError
+from tepm_opt.solvers.numerics.parallel import in_parallel
+from tepm_opt.solvers.numerics.text import format_names, shorten
 
 Effects = tuple[Candidate, ...]
 

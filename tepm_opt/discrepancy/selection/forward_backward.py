@@ -22,9 +22,9 @@ from tepm_opt.discrepancy.selection.matching_pursuit import (
 from tepm_opt.discrepancy.selection.ranking import beats, drop_richer_forms, fit_promising, most_probable
 from tepm_opt.discrepancy.selection.run_subsets import list_helped_runs, list_run_spans, select_longest_span
 from tepm_opt.discrepancy.selection.screening import Score, screen_pairs
-from tepm_opt.solvers.identify import Problem
-from tepm_opt.solvers.plant import PredictionError
-from tepm_opt.solvers.text import shorten
+from tepm_opt.solvers.identification.identify import Problem
+from tepm_opt.solvers.mechanics.plant import PredictionError
+from tepm_opt.solvers.numerics.text import shorten
 
 Groups = dict[Candidate, list[tuple[Hypothesis, float]]]
 

@@ -11,11 +11,11 @@ from tepm_opt.data.run import Run, thin_out
 from tepm_opt.discrepancy.problem.plant import Candidate, collect_free_parameters, free_candidate_parameters
 from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.shape_suggestions import apply_suggested_shapes
-from tepm_opt.solvers.identify import ParameterEstimate, Problem
-from tepm_opt.solvers.least_squares import bounded_step
-from tepm_opt.solvers.parallel import in_parallel, run_concurrently
-from tepm_opt.solvers.plant import Free, PredictionError
-from tepm_opt.solvers.residuals import Residual
+from tepm_opt.solvers.identification.identify import ParameterEstimate, Problem
+from tepm_opt.solvers.identification.residuals import Residual
+from tepm_opt.solvers.mechanics.plant import Free, PredictionError
+from tepm_opt.solvers.numerics.least_squares import bounded_step
+from tepm_opt.solvers.numerics.parallel import in_parallel, run_concurrently
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from tepm_opt.discrepancy.selection.cross_validation import weights
 from tepm_opt.discrepancy.selection.fitting import Effects, Fits, Hypothesis, may_act_beside
 from tepm_opt.discrepancy.selection.linearised import Linearised
 from tepm_opt.discrepancy.selection.ranking import largest_excess_of_parts
-from tepm_opt.solvers.plant import PredictionError
+from tepm_opt.solvers.mechanics.plant import PredictionError
 
 
 def fit_by_matching_pursuit(fits: Fits, base: Hypothesis, missing: Sequence[Candidate]) -> Hypothesis | None:

@@ -9,7 +9,7 @@ import numpy as np
 from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.linearised import Linearised
-from tepm_opt.solvers.identify import ParameterEstimate
+from tepm_opt.solvers.identification.identify import ParameterEstimate
 
 
 def list_run_spans(files: Sequence[str]) -> list[tuple[str, ...]]:

@@ -15,11 +15,11 @@ from tepm_opt.discrepancy.problem.plant import (
 )
 from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.linearised import Linearised, scale_from_null, simulate_probe
-from tepm_opt.solvers.identify import ParameterEstimate, identify
-from tepm_opt.solvers.least_squares import bounded_step
-from tepm_opt.solvers.parallel import in_parallel
-from tepm_opt.solvers.plant import PredictionError
-from tepm_opt.solvers.residuals import normal_equations
+from tepm_opt.solvers.identification.identify import ParameterEstimate, identify
+from tepm_opt.solvers.identification.residuals import normal_equations
+from tepm_opt.solvers.mechanics.plant import PredictionError
+from tepm_opt.solvers.numerics.least_squares import bounded_step
+from tepm_opt.solvers.numerics.parallel import in_parallel
 
 
 @dataclass(frozen=True, eq=False)

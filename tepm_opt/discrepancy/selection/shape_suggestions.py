@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from tepm_opt.discrepancy.problem.plant import Candidate
-from tepm_opt.solvers.identify import ParameterEstimate
+from tepm_opt.solvers.identification.identify import ParameterEstimate
 
 
 def apply_suggested_shapes(estimate: ParameterEstimate, missing: Iterable[Candidate]) -> ParameterEstimate:

@@ -10,8 +10,8 @@ from scipy.stats import chi2, norm
 
 from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.discrepancy.problem.settings import SearchSettings
-from tepm_opt.solvers.identify import ParameterEstimate
-from tepm_opt.solvers.plant import PredictionError
+from tepm_opt.solvers.identification.identify import ParameterEstimate
+from tepm_opt.solvers.mechanics.plant import PredictionError
 
 
 def is_significant(estimate: ParameterEstimate, effect: Candidate, settings: SearchSettings) -> bool:

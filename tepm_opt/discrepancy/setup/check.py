@@ -20,9 +20,9 @@ from tepm_opt.discrepancy.setup.hypotheses import (
 )
 from tepm_opt.discrepancy.setup.settings import DEFAULT, SetupSettings
 from tepm_opt.progress import Progress, silent
-from tepm_opt.solvers.identify import ParameterEstimate, Problem, identify
-from tepm_opt.solvers.plant import PredictionError
-from tepm_opt.solvers.start import first
+from tepm_opt.solvers.identification.identify import ParameterEstimate, Problem, identify
+from tepm_opt.solvers.identification.initial_state import first
+from tepm_opt.solvers.mechanics.plant import PredictionError
 
 
 def find_setup_errors(

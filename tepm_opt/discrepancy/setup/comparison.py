@@ -12,10 +12,10 @@ from tepm_opt.discrepancy.preparation.clock import find_time_shift
 from tepm_opt.discrepancy.problem.plant import SearchablePlant
 from tepm_opt.discrepancy.setup.hypotheses import SetupHypothesis
 from tepm_opt.discrepancy.setup.settings import DEFAULT, SetupSettings
-from tepm_opt.solvers.least_squares import bounded_step
-from tepm_opt.solvers.parallel import in_parallel
-from tepm_opt.solvers.plant import Plant, PredictionError
-from tepm_opt.solvers.start import predictions, with_estimated_initial_state
+from tepm_opt.solvers.identification.initial_state import predictions, with_estimated_initial_state
+from tepm_opt.solvers.mechanics.plant import Plant, PredictionError
+from tepm_opt.solvers.numerics.least_squares import bounded_step
+from tepm_opt.solvers.numerics.parallel import in_parallel
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ from tepm_opt.discrepancy.symbolic.responses import Normal, normal_equations_by_
 from tepm_opt.discrepancy.symbolic.score import left_out_errors, prior_of, solve_scaled
 from tepm_opt.discrepancy.symbolic.settings import DEFAULT, SymbolicSettings
 from tepm_opt.discrepancy.symbolic.terms import Terms, terms_over
-from tepm_opt.solvers.identify import ParameterEstimate
+from tepm_opt.solvers.identification.identify import ParameterEstimate
 
 
 @dataclass(frozen=True, eq=False)

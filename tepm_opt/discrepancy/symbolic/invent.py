@@ -27,9 +27,9 @@ from tepm_opt.models.effect_files import load_effects, unload_effect
 from tepm_opt.models.layout import Layout
 from tepm_opt.models.model import Model
 from tepm_opt.progress import Progress, silent
-from tepm_opt.solvers.identify import ParameterEstimate, identify
-from tepm_opt.solvers.network_plant import NetworkPlant
-from tepm_opt.solvers.plant import PredictionError
+from tepm_opt.solvers.identification.identify import ParameterEstimate, identify
+from tepm_opt.solvers.mechanics.network_plant import NetworkPlant
+from tepm_opt.solvers.mechanics.plant import PredictionError
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,9 +87,8 @@ class Invention:
 
 
 def invent(
-    estimate: ParameterEstimate, known: Model, folder: Path, source: str, judged: Sequence[Run] = (), progress: Progress = silent,
-    settings: SymbolicSettings = DEFAULT,
-) -> Invention | None:  # fmt: skip
+    estimate: ParameterEstimate, known: Model, folder: Path, source: str, judged: Sequence[Run] = (), progress: Progress = silent
+) -> Invention | None:
     """Find a law for the residuals of an estimate and load its effect; None where no law at any place would predict them.
 
     Args:
@@ -99,12 +98,11 @@ def invent(
         source: name of the data, for people.
         judged: runs that were not fitted to; those fitted to where there are none.
         progress: told of every piece of work.
-        settings: of the search.
 
     Raises:
         PredictionError: the model cannot do a run.
     """
-    network = as_network(estimate.plant)
+    network, settings = as_network(estimate.plant), DEFAULT
     if network is None or estimate.cost <= (1 + settings.noise_excess) * estimate.count:
         return None
     progress("looking where a law may act", 0, 0)
@@ -118,14 +116,14 @@ def invent(
     formulas = [compress(estimate, made, with_terms(each.place, made, network.values["L_0"], settings), settings) for each in near]
     able = [(each, f) for each, f in zip(near, formulas, strict=True) if can_be_written(f)]
     able.sort(key=lambda pair: settings.term_cost * len(pair[1].chosen) - pair[1].closes)
-    tried, best = [], None
+    judge, tried, best = _Judge(estimate, known, folder, judged, made), [], None
     try:
         for each, formula in able[: settings.formulas_fitted]:
             if best is not None and formula.closes < best.closes - settings.place_margin:
                 break
             progress(f"fitting a law of {formula.place.label}", 0, 0)
             tried.append(write(formula, network.model.layout, network.values["A"], source))
-            law = _fit_and_judge(estimate, known, each, formula, tried[-1], folder, judged, made, settings)
+            law = judge.fit_and_judge(each, formula, tried[-1])
             if law is not None and (best is None or law.closes > best.closes + settings.term_cost * len(formula.chosen)):
                 best = replace(law, places=tuple(found))
     finally:  # nothing of rejected formulas stays
@@ -136,30 +134,37 @@ def invent(
     return best
 
 
-def _fit_and_judge(
-    estimate: ParameterEstimate, known: Model, scored: Scored, formula: Formula, written: EffectFile, folder: Path, judged: Sequence[Run],
-    made: Sequence[Course], settings: SymbolicSettings,
-) -> Invention | None:  # fmt: skip
-    """Fit a formula through the simulation, see `invent`; None where the model cannot do the runs with it, or it closes too little."""
-    file = output_folder(folder) / f"{written.name}.py"
-    fitted = _fit(estimate, known, written, file, settings.fit_steps)
-    if fitted is None:
-        return None
-    anew = replace(estimate, residuals=estimate.problem.residuals(estimate.values))  # with derivatives at the values
-    search = SearchSettings.for_plant(fitted.plant)
-    before, after = leave_out(anew, search).excess, leave_out(fitted, search).excess
-    closes = (before - after) / max(before, 1e-12)
-    if closes < settings.min_closed:
-        return None
-    nominal, values = known.robot.parameters.model_dump(), fitted.plant.values
-    changed = {name: value for name, value in values.items() if name in nominal and value != nominal[name]}
-    every = [*((effect.name, effect.detail) for effect in known.effects), (written.name, None)]
-    effects = tuple(acting_effect(name, detail, values, Layout.from_robot(known.robot)) for name, detail in every)
-    runs = judged or estimate.problem.runs
-    errors = error_on(estimate, runs), error_on(fitted, runs)
-    beyond = tuple(find_extrapolations(fitted, made, formula, judged, settings))
-    model = replace(known, parameters=changed, effects=effects)
-    return Invention(scored, formula, written, file, fitted, model, closes, errors, beyond, ())
+@dataclass(frozen=True, eq=False)
+class _Judge:
+    """Data and model by which formulas are fitted and judged, see `invent`; `made` are the runs fitted to, as the model does them."""
+
+    estimate: ParameterEstimate
+    known: Model
+    folder: Path
+    judged: Sequence[Run]
+    made: Sequence[Course]
+
+    def fit_and_judge(self, scored: Scored, formula: Formula, written: EffectFile) -> Invention | None:
+        """Fit a formula through the simulation; None where the model cannot do the runs with it, or it closes too little."""
+        estimate, known, file = self.estimate, self.known, output_folder(self.folder) / f"{written.name}.py"
+        fitted = _fit(estimate, known, written, file, DEFAULT.fit_steps)
+        if fitted is None:
+            return None
+        anew = replace(estimate, residuals=estimate.problem.residuals(estimate.values))  # with derivatives at the values
+        search = SearchSettings.for_plant(fitted.plant)
+        before, after = leave_out(anew, search).excess, leave_out(fitted, search).excess
+        closes = (before - after) / max(before, 1e-12)
+        if closes < DEFAULT.min_closed:
+            return None
+        nominal, values = known.robot.parameters.model_dump(), fitted.plant.values
+        changed = {name: value for name, value in values.items() if name in nominal and value != nominal[name]}
+        every = [*((effect.name, effect.detail) for effect in known.effects), (written.name, None)]
+        effects = tuple(acting_effect(name, detail, values, Layout.from_robot(known.robot)) for name, detail in every)
+        runs = self.judged or estimate.problem.runs
+        errors = error_on(estimate, runs), error_on(fitted, runs)
+        beyond = tuple(find_extrapolations(fitted, self.made, formula, self.judged))
+        model = replace(known, parameters=changed, effects=effects)
+        return Invention(scored, formula, written, file, fitted, model, closes, errors, beyond, ())
 
 
 def _fit(estimate: ParameterEstimate, known: Model, written: EffectFile, path: Path, steps: int) -> ParameterEstimate | None:

@@ -14,12 +14,12 @@ from tepm_opt.discrepancy.symbolic.places import ALL, Course, Place
 from tepm_opt.discrepancy.symbolic.settings import DEFAULT, SymbolicSettings
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.identify import ParameterEstimate
-from tepm_opt.solvers.parallel import in_parallel
-from tepm_opt.solvers.plant import PredictionError
-from tepm_opt.solvers.residuals import Residual
-from tepm_opt.solvers.simulate import Directions, Simulation, SimulationError, simulate
-from tepm_opt.solvers.statics import solve_statics
+from tepm_opt.solvers.identification.identify import ParameterEstimate
+from tepm_opt.solvers.identification.residuals import Residual
+from tepm_opt.solvers.mechanics.plant import PredictionError
+from tepm_opt.solvers.mechanics.simulate import Directions, Simulation, SimulationError, simulate
+from tepm_opt.solvers.mechanics.statics import solve_statics
+from tepm_opt.solvers.numerics.parallel import in_parallel
 
 
 @dataclass(frozen=True, eq=False)

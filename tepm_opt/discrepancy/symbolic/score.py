@@ -13,7 +13,7 @@ from tepm_opt.discrepancy.selection.cross_validation import Evidence
 from tepm_opt.discrepancy.symbolic.places import Course, Place, find_places
 from tepm_opt.discrepancy.symbolic.responses import Normal, normal_equations_by_place, simulate_courses
 from tepm_opt.discrepancy.symbolic.settings import DEFAULT, SymbolicSettings
-from tepm_opt.solvers.identify import ParameterEstimate, Problem
+from tepm_opt.solvers.identification.identify import ParameterEstimate, Problem
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,5 +1,5 @@
 /* The network's slow motion about an equilibrium: its first modes from those of a neighbour, by subspace iteration on the factor of the
-   stiffness. solvers/modal_model.py is the twin. NMODE modes and a few shapes more, NSHAPE in all, are carried along. */
+   stiffness. solvers/linear/modal_model.py is the twin. NMODE modes and a few shapes more, NSHAPE in all, are carried along. */
 
 #define NCO (NLEV * NB)
 #define NACT (NU / 2)

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from tepm_opt.models.backends.interface import EXPLICIT, JUMP_TIME, MAX_HALVINGS, STAYS, Status
 from tepm_opt.models.backends.motion_interface import Record
-from tepm_opt.models.backends.motion_stages import Stage, Stages, State, Unsolved
-
-if TYPE_CHECKING:
-    pass
+from tepm_opt.models.backends.motion_stages import Stage, StageEnd, Stages, State, Unsolved
 
 GAMMA = 0.5 + np.sqrt(3) / 6
 
@@ -50,19 +47,16 @@ class Run(Stages):
         self.record(record, k + 1, state.x, state.v, state.d.get("x"))
         return Status.SOLVED
 
-    def differentiate(self, t: float, step: float, stage: Stage, x: np.ndarray, v: np.ndarray, y: np.ndarray, a: np.ndarray,
-                      d_a: np.ndarray, v_0: np.ndarray, factor: Any) -> dict[str, np.ndarray]:  # fmt: skip
+    def differentiate(self, t: float, step: float, stage: Stage, end: StageEnd, factor: Any) -> dict[str, np.ndarray]:
         """Rates at a stage's end along the directions; without a step, how the equilibrium moves.
 
         Args:
             t, step: time of the stage and its length in s.
             stage: its `d` is what the directions are at its start.
-            x, v, y: positions and velocities at its end, edge states at its start.
-            a, d_a: effective actuation, and along the directions.
-            v_0: velocities at its start.
+            end: solution there.
             factor: of its matrix; None without a step.
         """
-        of, d = self.of, stage.d
+        of, d, (x, v, y, a, d_a, v_0) = self.of, stage.d, end
         directions = d["x"].shape[-1]
         _, slope, along = self.look(self.known_at(t, forces=True), False)
         d_external = (along - np.outer(slope, self.later(forces=True)))[self.inputs :]
@@ -110,7 +104,8 @@ class Run(Stages):
             rest = Stage(
                 state.x, state.v, state.y_edges, {name: np.zeros_like(state.d[key]) for name, key in (("x", "x"), ("y", "y_edges"))}
             )
-            state.d["x"] = self.differentiate(t, 0.0, rest, state.x, state.v, state.y_edges, state.a, state.d["a"], state.v, None)["x"]
+            end = StageEnd(state.x, state.v, state.y_edges, state.a, state.d["a"], state.v)
+            state.d["x"] = self.differentiate(t, 0.0, rest, end, None)["x"]
 
     def advance(self, state: State, t: float, h: float, depth: int) -> None:
         """Take a step, or two halves of it where Newton fails or the step before had to be halved twice.
@@ -183,7 +178,8 @@ class Run(Stages):
                 stage.d = start
                 self.forces(x, v, y, step)  # the pulls at the solution, for the exact matrix
                 self.trusted = self.pull
-                stage.d = self.differentiate(times[i], step, stage, x, v, y, a[i], d_a[i], v_0, self.tangent(x, v, y, step))
+                end = StageEnd(x, v, y, a[i], d_a[i], v_0)
+                stage.d = self.differentiate(times[i], step, stage, end, self.tangent(x, v, y, step))
             acceleration = stage.v
             stages.append(stage)
         state.acceleration = acceleration

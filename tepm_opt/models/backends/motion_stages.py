@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -47,6 +47,23 @@ class Stage:
     v: np.ndarray
     y: np.ndarray
     d: dict[str, np.ndarray]
+
+
+class StageEnd(NamedTuple):
+    """Solution at the end of an implicit stage, for its derivatives.
+
+    Attributes:
+        x, v, y: positions and velocities there, edge states at the stage's start.
+        a, d_a: effective actuation, and along the directions.
+        v_0: velocities at the stage's start.
+    """
+
+    x: np.ndarray
+    v: np.ndarray
+    y: np.ndarray
+    a: np.ndarray
+    d_a: np.ndarray
+    v_0: np.ndarray
 
 
 class Unsolved(Exception):  # noqa: N818  control flow, not an error of the caller

@@ -19,9 +19,9 @@ import scipy.linalg as sla
 
 from tepm_opt.models.backends.interface import InverseNewton, LoadCase, Status
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.modal_model import network_matrices
-from tepm_opt.solvers.statics import Equilibrium, equilibrium
-from tepm_opt.solvers.text import shorten
+from tepm_opt.solvers.linear.modal_model import network_matrices
+from tepm_opt.solvers.mechanics.statics import Equilibrium, solve_actuated_statics
+from tepm_opt.solvers.numerics.text import shorten
 
 PAIRS = tuple(itertools.combinations_with_replacement(range(3), 2))
 BOX_MARGIN = 0.25  # parts of the task's size by which the box goes beyond it: the way between its ends may bulge
@@ -180,7 +180,7 @@ def _exact(model: CompiledModel, z: np.ndarray, start: Equilibrium) -> Equilibri
     status, x, pressures, _ = model.statics.inverse(start.x, case, weights, targets, InverseNewton(8.0 / area, 1e-10, 1e-9, 40))
     if status == Status.SOLVED:
         effective = np.concatenate([pressures, np.zeros(half)])
-        found = equilibrium(model, effective, np.zeros((observed // 3, 3)), replace(start, x=x), mapped=True, explain=False)
+        found = solve_actuated_statics(model, effective, np.zeros((observed // 3, 3)), replace(start, x=x))
         if found.solved and np.abs(found.lengths - lengths).max() < 1e-7:
             return found
     raise FamilyError(f"no stable configuration of equal curvature with lengths of {', '.join(f'{1e3 * v:.1f}' for v in lengths)} mm")

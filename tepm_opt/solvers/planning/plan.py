@@ -20,17 +20,18 @@ from tepm_opt.models.compile import CompiledModel, finite_array
 from tepm_opt.models.devices import Devices
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent, track
-from tepm_opt.solvers.allocation import allocate
-from tepm_opt.solvers.choices import ActuationMode, Objective
-from tepm_opt.solvers.kinematics import Configuration, each_configuration
-from tepm_opt.solvers.modal_model import modal_model
+from tepm_opt.solvers.kinematics.actuation_mode import ActuationMode
+from tepm_opt.solvers.kinematics.allocation import allocate
+from tepm_opt.solvers.kinematics.ik import Configuration, each_configuration
+from tepm_opt.solvers.linear.modal_model import modal_model
+from tepm_opt.solvers.mechanics.statics import Equilibrium
 from tepm_opt.solvers.planning.convex import solve
 from tepm_opt.solvers.planning.family import Family, FamilyError, FamilyFit, axial, coordinates, make_family
+from tepm_opt.solvers.planning.objective import Objective
 from tepm_opt.solvers.planning.program import Limits, Obstacle, PlannedMotion, PlanTask, Route, distance
 from tepm_opt.solvers.planning.result import MotionPlan
 from tepm_opt.solvers.planning.setpoints import Friction, commands, residual_sway, tensions
-from tepm_opt.solvers.statics import Equilibrium
-from tepm_opt.solvers.trajectories import Trajectory
+from tepm_opt.solvers.planning.trajectories import Trajectory
 
 EXACT = FamilyFit()
 FASTEST, FOR_LOOPS = 1.2e-5, 3e-4  # s per N²/s, weights of the effort: within 1.3 times the linear arm's shortest time, and followed well
@@ -105,7 +106,7 @@ def plan_move(
     targets = np.array([finite_array(start, (3,), "start"), finite_array(end, (3,), "end")])
     if np.linalg.norm(targets[1] - targets[0]) < 1e-6:
         raise InputError(f"end {targets[1].tolist()}: is the start; valid: another place")
-    return _plan(model, targets, None, objective, duration, tuple(obstacles), settings, progress)
+    return _plan(model, _Request(targets, None, objective, duration, tuple(obstacles)), settings, progress)
 
 
 def plan_path(
@@ -135,7 +136,18 @@ def plan_path(
     else:
         curve = make_interp_spline(along, points, k=5)
     parts = np.linspace(0.0, 1.0, ROUTE_POINTS)
-    return _plan(model, curve(parts), parts, objective, duration, tuple(obstacles), settings, progress)
+    return _plan(model, _Request(curve(parts), parts, objective, duration, tuple(obstacles)), settings, progress)
+
+
+@dataclass(frozen=True, eq=False)
+class _Request:
+    """Motion that is asked for: between two targets or, with their parts of the path, along many, (targets, 3); else see `plan_move`."""
+
+    targets: np.ndarray
+    parts: np.ndarray | None
+    objective: Objective
+    duration: float | None
+    obstacles: tuple[Obstacle, ...]
 
 
 def _check(model: CompiledModel, objective: Objective, duration: float | None, settings: PlanSettings) -> float:
@@ -176,12 +188,10 @@ def _without_devices(model: CompiledModel) -> CompiledModel:
     return model if np.array_equal(theta, model.theta) else model.with_theta(theta)
 
 
-def _plan(
-    model: CompiledModel, targets: np.ndarray, parts: np.ndarray | None, objective: Objective, duration: float | None,
-    obstacles: tuple[Obstacle, ...], settings: PlanSettings, progress: Progress,
-) -> MotionPlan:  # fmt: skip
-    """A plan between two targets or, with parts, along many."""
-    mid, devices = _check(model, objective, duration, settings), settings.devices or Devices.from_model(model)
+def _plan(model: CompiledModel, asked: _Request, settings: PlanSettings, progress: Progress) -> MotionPlan:
+    """Plan what is asked for."""
+    targets, parts, duration, obstacles = asked.targets, asked.parts, asked.duration, asked.obstacles
+    mid, devices = _check(model, asked.objective, duration, settings), settings.devices or Devices.from_model(model)
     layout, whole = model.layout, model
     model = _without_devices(model)
 
@@ -189,7 +199,7 @@ def _plan(
         rows = SetPoints(np.zeros(0), np.zeros((0, layout.inputs)), np.zeros((0, 3)))
         points = np.zeros((0, layout.points, 3))
         forces, outcome = np.zeros((0, layout.inputs // 2)), Outcome(ending, message)
-        return MotionPlan(whole, objective, outcome, rows.time, points[:, 0], points, forces, rows)
+        return MotionPlan(whole, asked.objective, outcome, rows.time, points[:, 0], points, forces, rows)
 
     configurations = []
     each = each_configuration(model, targets, ActuationMode.HYBRID, None, mid)
@@ -237,7 +247,7 @@ def _plan(
             return none(Ending.NO_PLAN, _why(task, motion))
         progress("set points and simulation", 0, 0)
         try:
-            plan = _build_plan(task, motion, ends, devices, settings, objective, friction)
+            plan = _build_plan(task, motion, ends, devices, settings, friction)
         except FamilyError as error:
             return none(Ending.NO_PLAN, f"on the way: {error}")
         if plan.solved and plan.residual_sway <= settings.max_residual_sway:
@@ -330,7 +340,7 @@ def _bulges(start: np.ndarray, end: np.ndarray) -> list[np.ndarray]:
 
 def _build_plan(
     task: PlanTask, motion: PlannedMotion, ends: tuple[Configuration, Configuration], devices: Devices, settings: PlanSettings,
-    objective: Objective, friction: Friction,
+    friction: Friction,
 ) -> MotionPlan:  # fmt: skip
     """The plan at its rows: exact equilibria, forces and set points that make them.
 
@@ -338,10 +348,11 @@ def _build_plan(
         task, motion: the program and what it found.
         ends: of the plan.
         devices: that make the forces.
-        settings, objective: of the plan.
+        settings: of the plan.
         friction: that tensions may have to make up for.
     """
     family, model, layout = task.family, task.family.model, task.family.model.layout
+    objective = Objective.TIME if task.duration is None else Objective.EFFORT
     half, area = layout.inputs // 2, model.values["A"]
     rows = int(np.ceil(motion.duration / settings.max_spacing - 1e-9)) + 1
     part = np.linspace(0.0, 1.0, rows)

@@ -10,7 +10,7 @@ import numpy as np
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Outcome
-from tepm_opt.solvers.choices import Objective
+from tepm_opt.solvers.planning.objective import Objective
 
 
 @dataclass(frozen=True, eq=False)

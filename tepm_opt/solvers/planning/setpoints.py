@@ -11,10 +11,10 @@ from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.devices import Devices
-from tepm_opt.solvers.allocation import axial_forces
-from tepm_opt.solvers.modal_model import modal_model
-from tepm_opt.solvers.simulate import SimulationError, simulate
-from tepm_opt.solvers.statics import Equilibrium
+from tepm_opt.solvers.kinematics.allocation import axial_forces
+from tepm_opt.solvers.linear.modal_model import modal_model
+from tepm_opt.solvers.mechanics.simulate import SimulationError, simulate
+from tepm_opt.solvers.mechanics.statics import Equilibrium
 
 SUBSTEP = 1e-3  # s, of the regulators between the set points
 WATCHED, ROW = 5.0, 0.02  # s: for how long the tip is watched after the end, and how often

@@ -23,7 +23,7 @@ from tepm_opt.jobs.executors import processes
 from tepm_opt.jobs.output import save_summary
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent, track
-from tepm_opt.solvers.parallel import cores, on_cores
+from tepm_opt.solvers.numerics.parallel import cores, on_cores
 from tepm_opt.studies.blind.analysis import Analysis, analyse_results
 from tepm_opt.studies.blind.table import markdown
 from tepm_opt.studies.blind.trial import Trial, TrialSeries, make

@@ -26,8 +26,8 @@ from tepm_opt.models.model import Model
 from tepm_opt.models.robot import builtin_robots
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent
-from tepm_opt.solvers.kinematics import IkSettings
-from tepm_opt.solvers.trajectories import Trajectory
+from tepm_opt.solvers.kinematics.ik import IkSettings
+from tepm_opt.solvers.planning.trajectories import Trajectory
 
 TABLE = "machines.csv"
 BOUND = 3e-3  # m

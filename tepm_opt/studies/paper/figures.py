@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from tepm_opt.plots.figure import STYLE, save_figures
 from tepm_opt.plots.palette import AXES, INPUTS, LINES, MARKERS, MEASURED, NOMINAL, ROBOT, TARGET, actuator
-from tepm_opt.solvers.backbone import backbone
+from tepm_opt.solvers.kinematics.backbone import backbone
 from tepm_opt.studies.paper.published import PUBLISHED
 from tepm_opt.studies.paper.result import ExperimentResult
 from tepm_opt.studies.paper.run import Study

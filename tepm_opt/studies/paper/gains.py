@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tepm_opt.data.setpoints import SetPoints
-from tepm_opt.solvers.gain import input_curve
+from tepm_opt.solvers.linear.gain import input_curve
 from tepm_opt.studies.paper.common import Setting, inputs_of, play
 from tepm_opt.studies.paper.result import ExperimentResult
 

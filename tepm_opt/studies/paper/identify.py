@@ -24,7 +24,7 @@ from tepm_opt.data.metrics import point_errors
 from tepm_opt.hw.simulation.machines import machine_of
 from tepm_opt.hw.simulation.rigfile import RigFile, load_rig_file
 from tepm_opt.models.compile import compile_model
-from tepm_opt.solvers.statics import solve_statics
+from tepm_opt.solvers.mechanics.statics import solve_statics
 from tepm_opt.studies.paper.common import Setting
 from tepm_opt.studies.paper.load import FORCE
 from tepm_opt.studies.paper.published import PUBLISHED

@@ -7,7 +7,7 @@ import numpy as np
 from tepm_opt.data.metrics import point_errors, shape_error
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.hw.simulation.rig import SimulatedRig
-from tepm_opt.solvers.statics import solve_statics
+from tepm_opt.solvers.mechanics.statics import solve_statics
 from tepm_opt.studies.paper.common import Setting, middle
 from tepm_opt.studies.paper.result import ExperimentResult
 from tepm_opt.studies.paper.shapes import settled_points, shape_table

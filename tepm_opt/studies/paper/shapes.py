@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tepm_opt.data.metrics import point_errors, shape_error
-from tepm_opt.solvers.statics import solve_statics
+from tepm_opt.solvers.mechanics.statics import solve_statics
 from tepm_opt.studies.paper.common import SWAY, Setting, inputs_of, middle, play, ramp
 from tepm_opt.studies.paper.result import ExperimentResult
 

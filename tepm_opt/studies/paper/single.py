@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import least_squares
 
-from tepm_opt.control.baselines.length_control import HoldRecord, LengthController, LengthTarget, TendonUse, hold
+from tepm_opt.control.baselines.length_control import HoldRecord, HoldTask, LengthController, LengthTarget, TendonUse, hold
 from tepm_opt.hw.rig import Command
 from tepm_opt.hw.simulation.bench import BenchRig
 from tepm_opt.studies.paper.common import Setting
@@ -117,7 +117,7 @@ def regulate(setting: Setting, use: TendonUse, noise: int) -> HoldRecord:
     wanted = [LengthTarget(np.array([length]), np.array([value.K_a * (length - value.L_0)])) for length in SET_POINTS]
     controller = LengthController(rig.robot, use)
     with rig:
-        held = hold(rig, controller, lambda sample: sample.lengths, wanted, STAY)  # type: ignore[arg-type, return-value]
+        held = hold(rig, controller, lambda sample: sample.lengths, HoldTask(wanted, STAY))  # type: ignore[arg-type, return-value]
     setting.clock.advance(STAY * len(SET_POINTS))
     return held
 

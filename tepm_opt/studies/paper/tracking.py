@@ -7,13 +7,13 @@ from multiprocessing import get_context
 
 import numpy as np
 
-from tepm_opt.control.baselines.length_control import HoldRecord, LengthController, LengthTarget, TendonUse, hold
+from tepm_opt.control.baselines.length_control import HoldRecord, HoldTask, LengthController, LengthTarget, TendonUse, hold
 from tepm_opt.control.estimation.lengths import LengthEstimator
 from tepm_opt.hw.simulation.rigfile import RigFile
 from tepm_opt.models.compile import compile_model
-from tepm_opt.solvers.choices import ActuationMode
-from tepm_opt.solvers.kinematics import solve_trajectory
-from tepm_opt.solvers.trajectories import circle
+from tepm_opt.solvers.kinematics.actuation_mode import ActuationMode
+from tepm_opt.solvers.kinematics.ik import solve_trajectory
+from tepm_opt.solvers.planning.trajectories import circle
 from tepm_opt.studies.paper.common import Setting
 from tepm_opt.studies.paper.result import ExperimentResult
 
@@ -40,7 +40,7 @@ def follow(setting: Setting, use: TendonUse, noise: int, wanted: list[LengthTarg
     rig = setting.prototype(noise)
     controller = LengthController(rig.robot, use)
     with rig:
-        return hold(rig, controller, lambda sample: estimator.update(sample.points), wanted, STAY, APPROACH, setting.clock.part())
+        return hold(rig, controller, lambda sample: estimator.update(sample.points), HoldTask(wanted, STAY, APPROACH), setting.clock.part())
 
 
 def _follow_alone(file: RigFile, use: TendonUse, noise: int, wanted: list[LengthTarget]) -> HoldRecord:

@@ -19,7 +19,7 @@ from tepm_opt.jobs.course import Course
 from tepm_opt.models.model import Model
 from tepm_opt.models.robot import robot_text
 from tepm_opt.outcome import Ending
-from tepm_opt.solvers.trajectories import circle
+from tepm_opt.solvers.planning.trajectories import circle
 from tepm_opt.studies.machines.run import Drive, DriveTask, Family, MachinesRun, run_machines
 
 QUICK = Course(approach=2.0, pause=0.2, start_up=0.5)

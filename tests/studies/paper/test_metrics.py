@@ -5,7 +5,7 @@ import pytest
 from scipy.interpolate import pchip_interpolate
 
 from tepm_opt.data.metrics import axes_measured, error_over_time, point_errors, shape_error
-from tepm_opt.solvers.backbone import backbone, backbone_error
+from tepm_opt.solvers.kinematics.backbone import backbone, backbone_error
 
 MODEL = np.arange(12.0).reshape(4, 3)
 

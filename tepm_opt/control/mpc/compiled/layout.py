@@ -14,7 +14,7 @@ from tepm_opt.control.diagnostics.sensors import EVERY, WINDOW
 from tepm_opt.models.backends.ccode import Unit
 from tepm_opt.models.backends.interface import GUARDS, MODES, SHARED
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.modal_model import SWEEPS
+from tepm_opt.solvers.linear.modal_model import SWEEPS
 
 FILES = ("state.c", "points.c", "filter.c", "horizon.c", "program.c", "command.c")
 SYMBOLS = ("step_size", "step_outcome", "step_open", "step_prepare", "step_feedback", "step_point")

@@ -36,7 +36,7 @@ from tepm_opt.control.references.reference import Reference
 from tepm_opt.hw.rig import Command
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.devices import Devices
-from tepm_opt.solvers.modal_model import NEAR, ModalModel, fixed_part, modal_model
+from tepm_opt.solvers.linear.modal_model import NEAR, ModalModel, fixed_part, modal_model
 
 SLACK = 0.05  # of a period, by which computing time may go beyond whole ones
 Told = dict[str, float | np.ndarray]

@@ -22,7 +22,7 @@ from tepm_opt.models.backends import ccode, compiler
 from tepm_opt.models.backends.compiled import CompiledStatics
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Ending, Outcome
-from tepm_opt.solvers.modal_model import ModalModel
+from tepm_opt.solvers.linear.modal_model import ModalModel
 
 OUTCOMES = (
     Outcome(Ending.SOLVED), Outcome(Ending.INFEASIBLE, "no x is within all bounds"), Outcome(Ending.ITERATION_LIMIT, "no answer in time"),

@@ -1,4 +1,4 @@
-"""Small motions about an equilibrium: eigenvalues, modes with their shapes, the step limit of explicit integration."""
+"""Small motions about an equilibrium: eigenvalues, modes with their shapes."""
 
 from __future__ import annotations
 
@@ -6,25 +6,16 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.optimize import brentq
 
-from tepm_opt.solvers.linear import Linear, choose_independent_columns
-from tepm_opt.solvers.statics import Equilibrium
-from tepm_opt.solvers.text import shorten
+from tepm_opt.errors import InputError
+from tepm_opt.solvers.linear.state_space import Linear
+from tepm_opt.solvers.mechanics.statics import Equilibrium
+from tepm_opt.solvers.numerics.matrices import choose_independent_columns, expand_band
+from tepm_opt.solvers.numerics.text import shorten
 
 SAME = 1e-6  # relative: eigenvalues nearer to each other belong together
 STILL = 1e-9  # relative: displacements and frequencies below it are rounding errors
 ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth", "tenth")
-
-
-def full(band: np.ndarray) -> np.ndarray:
-    """Symmetric matrix from its lower banded storage (SciPy's `solveh_banded` layout)."""
-    size = band.shape[1]
-    matrix = np.zeros((size, size))
-    for offset, diagonal in enumerate(band[:size]):
-        values = diagonal[: size - offset]
-        matrix += np.diag(values, -offset) + (np.diag(values, offset) if offset else 0)
-    return matrix
 
 
 def state_matrix(equilibrium: Equilibrium) -> np.ndarray:
@@ -33,8 +24,8 @@ def state_matrix(equilibrium: Equilibrium) -> np.ndarray:
     Internal states are left out (see `linearise`), so this needs no functions of motion, only those of statics.
     """
     model, P = equilibrium.model, equilibrium.properties
-    stiffness = full(model.reference.assemble(equilibrium.x, P, model.theta).band)
-    damping = full(model.reference.assemble_damping(equilibrium.x, P, model.theta))
+    stiffness = expand_band(model.reference.assemble(equilibrium.x, P, model.theta).band)
+    damping = expand_band(model.reference.assemble_damping(equilibrium.x, P, model.theta))
     mass = np.repeat(P[:, model.network.property_rows["mass"]].ravel(), model.layout.block)
     zero, one = np.zeros_like(stiffness), np.eye(len(mass))
     return np.block([[zero, one], [-stiffness / mass[:, None], -damping / mass[:, None]]])
@@ -44,20 +35,6 @@ def poles(equilibrium: Equilibrium) -> np.ndarray:
     """Eigenvalues of the linearised network in 1/s, slowest first."""
     values = np.linalg.eigvals(state_matrix(equilibrium))
     return values[np.argsort(np.abs(values))]
-
-
-def rk4_step_limit(values: np.ndarray) -> float:
-    """Largest step in s at which the classical Runge-Kutta scheme damps all poles (Hairer and Wanner, vol. II, IV.2).
-
-    At most 2.785 over the fastest pole, the limit on the real axis, although undamped poles would allow 1.5 % more.
-    """
-
-    def growth(step: float) -> float:
-        z = step * values[np.abs(values) > 1e-9]
-        return float(np.abs(1 + z + z**2 / 2 + z**3 / 6 + z**4 / 24).max()) - 1.0 - 1e-9  # rounding of undamped poles
-
-    largest = 2.7853 / np.abs(values).max()
-    return largest if growth(largest) <= 0 else float(brentq(growth, 0.2 * largest, 1.05 * largest, xtol=1e-12))  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,8 +123,11 @@ def modes(linear: Linear) -> tuple[Mode, ...]:
     """All modes, slowest first; those with an eigenvalue 0 (`linear.held`) are not among them.
 
     Raises:
+        InputError: a reduced system.
         numpy.linalg.LinAlgError: eigenvectors that do not span all motions.
     """
+    if not linear.coordinates:
+        raise InputError("modes: a reduced system has no motions of nodes; valid: a system of `linearise`")
     moving = linear.without_held_states()
     values, vectors = np.linalg.eig(moving.A)
     for k in np.flatnonzero((np.imag(values) > 0) & (np.imag(values) < STILL * np.abs(values))):  # one real eigenvalue, twice

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tepm_opt.data.run import Run, thin_out
-from tepm_opt.solvers.parallel import in_parallel
-from tepm_opt.solvers.plant import START, Free, Plant
-from tepm_opt.solvers.prior import JointPrior
-from tepm_opt.solvers.residuals import BLOCK, Residual
-from tepm_opt.solvers.start import with_estimated_initial_state, without_start
-from tepm_opt.solvers.text import format_names
+from tepm_opt.solvers.identification.initial_state import with_estimated_initial_state, without_start
+from tepm_opt.solvers.identification.prior import JointPrior
+from tepm_opt.solvers.identification.residuals import BLOCK, Residual
+from tepm_opt.solvers.mechanics.plant import START, Free, Plant
+from tepm_opt.solvers.numerics.parallel import in_parallel
+from tepm_opt.solvers.numerics.text import format_names
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.stats import f, t
 
 from tepm_opt.progress import Progress, silent
-from tepm_opt.solvers.identify import ITERATIONS, ParameterEstimate, Problem, identify
-from tepm_opt.solvers.plant import Free
+from tepm_opt.solvers.identification.identify import ITERATIONS, ParameterEstimate, Problem, identify
+from tepm_opt.solvers.mechanics.plant import Free
 
 ROUNDS = 20
 SETTLED = 0.02  # part of a spread by which it changes no more

@@ -10,10 +10,10 @@ from tepm_opt.data.run import Run
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.parallel import give_way, in_parallel
-from tepm_opt.solvers.plant import Prediction, PredictionError
-from tepm_opt.solvers.simulate import Directions, SimulationError, simulate
-from tepm_opt.solvers.statics import solve_statics
+from tepm_opt.solvers.mechanics.plant import Prediction, PredictionError
+from tepm_opt.solvers.mechanics.simulate import Directions, SimulationError, simulate
+from tepm_opt.solvers.mechanics.statics import solve_statics
+from tepm_opt.solvers.numerics.parallel import give_way, in_parallel
 
 LONGEST_STEP = 0.02  # s: 0.01 mm RMS on the reference runs, up to 0.1 mm where inputs jump within a sample
 

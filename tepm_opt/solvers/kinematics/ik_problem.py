@@ -10,11 +10,11 @@ import numpy as np
 from tepm_opt.models.backends.interface import LIMIT_SLACK, InverseProblem, Status
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.layout import Layout
-from tepm_opt.solvers.allocation import allotment, force_range
-from tepm_opt.solvers.choices import ActuationMode
-from tepm_opt.solvers.constant_curvature import lengths_from_tip
-from tepm_opt.solvers.statics import DEFAULT as STATICS
-from tepm_opt.solvers.statics import Equilibrium, equilibrium
+from tepm_opt.solvers.kinematics.actuation_mode import ActuationMode
+from tepm_opt.solvers.kinematics.allocation import allotment, force_range
+from tepm_opt.solvers.kinematics.constant_curvature import lengths_from_tip
+from tepm_opt.solvers.mechanics.statics import DEFAULT as STATICS
+from tepm_opt.solvers.mechanics.statics import Equilibrium, solve_actuated_statics
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ class IkProblem:
 
     def solve_equilibrium(self, forces: np.ndarray, start: Equilibrium | None) -> Equilibrium:
         """Solve for the equilibrium of axial forces."""
-        return equilibrium(self.model, self.actuation(forces), self.loads, start, mapped=True, explain=False)
+        return solve_actuated_statics(self.model, self.actuation(forces), self.loads, start)
 
     @property
     def middle(self) -> np.ndarray:

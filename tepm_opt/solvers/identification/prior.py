@@ -11,7 +11,7 @@ import numpy as np
 
 from tepm_opt.data.documents import read_json
 from tepm_opt.errors import InputError
-from tepm_opt.solvers.plant import Free
+from tepm_opt.solvers.mechanics.plant import Free
 
 
 @dataclass(frozen=True, eq=False)

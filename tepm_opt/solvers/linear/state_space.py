@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -13,10 +13,11 @@ import scipy.linalg as sla
 from tepm_opt.data.setpoints import AXES
 from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.models.layout import Layout
-from tepm_opt.outcome import Ending
 from tepm_opt.renamed import RenamedMethod
-from tepm_opt.solvers.statics import Equilibrium
-from tepm_opt.solvers.text import shorten
+from tepm_opt.solvers.mechanics.statics import Equilibrium
+from tepm_opt.solvers.mechanics.tangent import linearise_network
+from tepm_opt.solvers.numerics.matrices import choose_independent_columns
+from tepm_opt.solvers.numerics.text import shorten
 
 if TYPE_CHECKING:
     import control
@@ -29,8 +30,11 @@ Names = str | Sequence[str] | None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class System:
+class Linear:
     """d/dt s = A s + B w(t - delay), z = C s + D w: deviations from an equilibrium in SI (Pa, N → m).
+
+    The states s of a network are the free levels, their velocities, the internal states of the edges (segment by segment) and, with
+    actuators, those of the inputs.
 
     Attributes:
         A, B, C, D: matrices.
@@ -38,6 +42,9 @@ class System:
         outputs: names of z: "s1_x" … (reference points in G), "length_11" … (actuators).
         ranges: of the inputs: the robot's limits, 1 N for forces. What is called scaled is per range.
         delay: by which pressures and tensions (not forces) act late in s; not part of the matrices.
+        equilibrium: about which.
+        kinds: of the states: "position", "velocity", "edge", "input", or "reduced" without a physical meaning, (states,).
+        state_names: "n12_0_x" (level and node), "v_n12_0_x", "edge_1_1" (segment and number), "input_1", (states,).
     """
 
     A: np.ndarray
@@ -48,28 +55,22 @@ class System:
     outputs: tuple[str, ...]
     ranges: np.ndarray
     delay: float
+    equilibrium: Equilibrium
+    kinds: np.ndarray
+    state_names: tuple[str, ...]
 
     def __repr__(self) -> str:
         """The main numbers, in a line."""
-        return f"System({_size(self)})"
+        delay = f", delay {1e3 * self.delay:.3g} ms" if self.delay else ""
+        size = f"{len(self.A)} states, {len(self.inputs)} inputs, {len(self.outputs)} outputs{delay}"
+        return f"Linear({size}, {shorten(self.equilibrium.model.robot.name, 40)})"
 
     @property
     def late(self) -> np.ndarray:
         """Whether each input acts late, (inputs,) of bool."""
         return np.array([self.delay > 0 and not name.startswith("force_") for name in self.inputs], dtype=bool)
 
-    @property
-    def state_names(self) -> tuple[str, ...]:
-        """Names of the states, (states,)."""
-        return tuple(f"state_{k + 1}" for k in range(len(self.A)))
-
-    def without_held_states(self) -> System:
-        """Return the system without states that never move on their own; here itself."""
-        return self
-
-    moving = RenamedMethod("without_held_states")
-
-    def select(self, inputs: Names = None, outputs: Names = None) -> System:
+    def select(self, inputs: Names = None, outputs: Names = None) -> Linear:
         """Part of the inputs and outputs, all where absent, by name or by what names begin with ("pressure", "s4").
 
         Raises:
@@ -77,8 +78,8 @@ class System:
         """
         system, rows, columns = self.without_held_states(), _find("output", outputs, self.outputs), _find("input", inputs, self.inputs)
         B, C, D = system.B[:, columns], system.C[rows], system.D[np.ix_(rows, columns)]
-        names = tuple(self.inputs[k] for k in columns), tuple(self.outputs[k] for k in rows)
-        return System(A=system.A, B=B, C=C, D=D, inputs=names[0], outputs=names[1], ranges=self.ranges[columns], delay=self.delay)
+        names = _pick(self.inputs, columns), _pick(self.outputs, rows)
+        return replace(system, B=B, C=C, D=D, inputs=names[0], outputs=names[1], ranges=self.ranges[columns])
 
     def gain(self, scaled: bool = False) -> np.ndarray:
         """Gain at rest, (outputs, inputs) in m/Pa and m/N, or in m per range."""
@@ -114,46 +115,13 @@ class System:
         if pade and part.late.any():
             A, B, C, D = _append_delay(part, pade)
         B, D = (matrix * (part.ranges if scaled else 1.0) for matrix in (B, D))
-        states = [*self.without_held_states().state_names, *_delay_names(part, pade)]
+        states = [*part.state_names, *_delay_names(part, pade)]
         return StateSpace(A, B, C, D, inputs=list(part.inputs), outputs=list(part.outputs), states=states, remove_useless_states=False)
-
-
-def _size(system: System) -> str:
-    delay = f", delay {1e3 * system.delay:.3g} ms" if system.delay else ""
-    return f"{len(system.A)} states, {len(system.inputs)} inputs, {len(system.outputs)} outputs{delay}"
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Linear(System):
-    """A network's system: see `System`, whose inputs and outputs it has all.
-
-    The states s are the free levels, their velocities, the internal states of the edges (segment by segment) and, with
-    actuators, those of the inputs.
-
-    Attributes:
-        equilibrium: about which.
-        kinds: of the states: "position", "velocity", "edge" or "input", (states,).
-        names: of the states: "n12_0_x" (level and node), "v_n12_0_x", "edge_1_1" (segment and number), "input_1", (states,).
-    """
-
-    equilibrium: Equilibrium
-    kinds: np.ndarray
-    names: np.ndarray
-
-    def __repr__(self) -> str:
-        """The main numbers, in a line."""
-        return f"Linear({_size(self)}, {shorten(self.equilibrium.model.robot.name, 40)})"
-
-    @property
-    def state_names(self) -> tuple[str, ...]:
-        """See `System.state_names`."""
-        return tuple(self.names.tolist())
 
     @property
     def coordinates(self) -> int:
         """Number of coordinates of the free levels: states 0 … are positions, as many more are velocities."""
-        layout = self.equilibrium.model.layout
-        return layout.levels * layout.block
+        return int((self.kinds == "position").sum())
 
     @property
     def held(self) -> np.ndarray:
@@ -167,16 +135,17 @@ class Linear(System):
     @cached_property
     def _follow(self) -> tuple[np.ndarray, np.ndarray]:
         """`held`, and how these follow the other states, (held, others)."""
-        size = self.coordinates
-        by_v, by_y = self.A[2 * size :, size : 2 * size], self.A[2 * size :, 2 * size :]
+        internal = np.flatnonzero(np.isin(self.kinds, ("edge", "input")))
+        by_v, by_y = self.A[np.ix_(internal, self.kinds == "velocity")], self.A[np.ix_(internal, internal)]
         _, rates, weights = np.linalg.svd(by_y.T) if len(by_y) else (by_y, np.zeros(0), by_y)
         kept = weights[rates < FORGETS]  # weights @ y' = weights @ by_v @ v, so weights @ (y - by_v @ x) stays as it is
-        kept = kept[~(abs(kept @ self.B[2 * size :]) > FORGETS).any(axis=1)]  # but for those that integrate an input
+        kept = kept[~(abs(kept @ self.B[internal]) > FORGETS).any(axis=1)]  # but for those that integrate an input
         which = np.sort(choose_independent_columns(kept, len(kept)))
         kept = np.linalg.solve(kept[:, which], kept)  # now every row says of one state y what it follows
         held = np.zeros(len(self.A), dtype=bool)
-        held[2 * size + which] = True
-        follow = np.hstack([kept @ by_v, np.zeros_like(kept @ by_v), -kept])
+        held[internal[which]] = True
+        follow = np.zeros((len(kept), len(self.A)))
+        follow[:, self.kinds == "position"], follow[:, internal] = kept @ by_v, -kept
         return held, follow[:, ~held]
 
     def without_held_states(self) -> Linear:
@@ -185,7 +154,10 @@ class Linear(System):
         if not held.any():
             return self
         A, C = (matrix[:, ~held] + matrix[:, held] @ follow for matrix in (self.A[~held], self.C))
-        return replace(self, A=A, B=self.B[~held], C=C, kinds=self.kinds[~held], names=self.names[~held])
+        names = _pick(self.state_names, np.flatnonzero(~held))
+        return replace(self, A=A, B=self.B[~held], C=C, kinds=self.kinds[~held], state_names=names)
+
+    moving = RenamedMethod("without_held_states")
 
 
 def linearise(equilibrium: Equilibrium, actuators: bool = True, rising: bool = False) -> Linear:
@@ -200,10 +172,8 @@ def linearise(equilibrium: Equilibrium, actuators: bool = True, rising: bool = F
     Raises:
         InputError: not an equilibrium.
     """
-    if equilibrium.outcome.ending not in (Ending.SOLVED, Ending.UNSTABLE):
-        raise InputError(f"no equilibrium to linearise about: {equilibrium.outcome.message}")
     model, layout = equilibrium.model, equilibrium.model.layout
-    A, by_actuation, by_force = _network(equilibrium)
+    A, by_actuation, by_force = linearise_network(equilibrium)
     F, E, N, M = _inputs(equilibrium, actuators, rising)
     # dy/dt = F y + E du/dt and a = M u + N y become, with q = y - E u: dq/dt = F q + F E u, a = N q + (M + N E) u
     memory, forces = len(F), by_force.shape[1]
@@ -219,34 +189,8 @@ def linearise(equilibrium: Equilibrium, actuators: bool = True, rising: bool = F
         A=A, B=B, C=C, D=np.zeros((len(C), B.shape[1])), inputs=inputs, outputs=outputs, delay=delay,
         ranges=np.append(model.input_max, np.full(forces, FORCE_RANGE)), equilibrium=equilibrium,
         kinds=np.repeat(["position", "velocity", "edge", "input"], [size, size, edges, memory]),
-        names=np.array(_state_names(layout, edges // layout.levels, memory)),
+        state_names=_state_names(layout, edges // layout.levels, memory),
     )  # fmt: skip
-
-
-def _network(equilibrium: Equilibrium) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A of levels, velocities and edge states, and what the effective actuation and the forces on the points add to d/dt s."""
-    model, stepper, layout = equilibrium.model, equilibrium.model.reference_stepper, equilibrium.model.layout
-    n, block, edges, size = layout.levels, layout.block, stepper.dynamics.edge_states, layout.levels * layout.block
-    loads, outer = equilibrium.loads, layout.inputs + 3 * layout.points
-    a, P = model.reference.prepare(equilibrium.inputs, equilibrium.mapped, loads.ravel(), model.theta)[:2]
-    d_P = stepper.jacobian("properties_by", a, loads, model.theta)[: P.size, :outer].reshape(*P.shape, outer)
-    jacobians = stepper.segment_jacobians(equilibrium.x, P, model.theta)
-    by_x, by_v, by_y, by_P = np.split(jacobians, np.cumsum([2 * block, 2 * block, edges, P.shape[1]]), axis=2)[:4]
-    driven = by_P @ d_P
-    A = np.zeros((2 * size + n * edges, 2 * size + n * edges))
-    B = np.zeros((len(A), outer))
-    for s in range(n):
-        near = np.arange(2 * block) + (s - 1) * block  # coordinates of its two levels; those of level 0, which is fixed, are negative
-        free, own = near >= 0, 2 * size + s * edges + np.arange(edges)
-        rows, columns = np.r_[size + near[free], own], np.r_[near[free], size + near[free], own]
-        kept = np.r_[free, np.ones(edges, dtype=bool)]
-        A[np.ix_(rows, columns)] += np.hstack([by_x[s][:, free], by_v[s][:, free], by_y[s]])[kept]
-        B[rows] += driven[s][kept]
-    mass = np.repeat(P[:, stepper.mass_row], block)[:, None]
-    A[size : 2 * size] /= -mass  # until here forces, which hold the nodes back
-    B[size : 2 * size] /= -mass
-    A[:size, size : 2 * size] = np.eye(size)
-    return A, B[:, : layout.inputs], B[:, layout.inputs :]
 
 
 def _inputs(equilibrium: Equilibrium, actuators: bool, rising: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -262,7 +206,7 @@ def _inputs(equilibrium: Equilibrium, actuators: bool, rising: bool) -> tuple[np
     return (by_y[reached] - np.eye(by_y.shape[1])) / MOMENT, by_rate[reached] / MOMENT, by_y[:count], by_u[:count]
 
 
-def _append_delay(system: System, order: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _append_delay(system: Linear, order: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Matrices with a Padé approximation of exp(-delay s) before every late input."""
     from control import pade
     from scipy.signal import tf2ss
@@ -276,15 +220,15 @@ def _append_delay(system: System, order: int) -> tuple[np.ndarray, np.ndarray, n
     return A, np.vstack([system.B @ M, E]), np.hstack([system.C, system.D @ N]), system.D @ M
 
 
-def _state_names(layout: Layout, edges: int, inputs: int) -> list[str]:
+def _state_names(layout: Layout, edges: int, inputs: int) -> tuple[str, ...]:
     """Names of the states: coordinates, velocities, internal states of a segment's `edges` and of the inputs."""
     nodes = [(level, node) for level in range(1, layout.levels + 1) for node in range(layout.actuators)]
     places = [f"n{level}_{node}_{axis}" for level, node in nodes for axis in AXES]
     of_edges = [f"edge_{segment + 1}_{k + 1}" for segment in range(layout.levels) for k in range(edges)]
-    return [*places, *(f"v_{place}" for place in places), *of_edges, *(f"input_{k + 1}" for k in range(inputs))]
+    return (*places, *(f"v_{place}" for place in places), *of_edges, *(f"input_{k + 1}" for k in range(inputs)))
 
 
-def _delay_names(system: System, order: int) -> list[str]:
+def _delay_names(system: Linear, order: int) -> list[str]:
     """Names of the states of `_append_delay`."""
     late = [name for name, is_late in zip(system.inputs, system.late, strict=True) if is_late]
     return [f"delay_{name}_{k + 1}" for name in late for k in range(order)]
@@ -294,6 +238,10 @@ def _names(layout: Layout) -> tuple[tuple[str, ...], tuple[str, ...]]:
     actuators, points = layout.actuator_names, [f"{point}_{axis}" for point in layout.point_names for axis in AXES]
     inputs = [f"{kind}_{name}" for kind in ("pressure", "tension") for name in actuators] + [f"force_{point}" for point in points]
     return tuple(inputs), (*points, *(f"length_{name}" for name in actuators))
+
+
+def _pick(names: Sequence[str], places: Iterable[int]) -> tuple[str, ...]:
+    return tuple(names[k] for k in places)
 
 
 def _find(kind: str, wanted: Names, names: Sequence[str]) -> list[int]:
@@ -309,9 +257,3 @@ def _find(kind: str, wanted: Names, names: Sequence[str]) -> list[int]:
     if not found or len(set(found)) < len(found):
         raise InputError(f"{kind}s {wanted!r}: {'none' if not found else 'one stands twice'}; valid: each at most once, at least one")
     return found
-
-
-def choose_independent_columns(rows: np.ndarray, count: int) -> np.ndarray:
-    """Choose columns of a matrix that are independent of each other, the clearest first, (count,)."""
-    pivots = np.asarray(sla.qr(rows, mode="r", pivoting=True)[-1]) if count else np.zeros(0)
-    return pivots[:count].astype(int)

@@ -8,7 +8,6 @@ from typing import Literal
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError, unknown_name
@@ -18,10 +17,9 @@ from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent
 from tepm_opt.renamed import RenamedMethod
-from tepm_opt.solvers.linear import linearise
-from tepm_opt.solvers.modes import rk4_step_limit
-from tepm_opt.solvers.statics import THROUGH_BASE, Equilibrium, solve_statics
-from tepm_opt.solvers.text import format_names
+from tepm_opt.solvers.mechanics.statics import THROUGH_BASE, Equilibrium, solve_statics
+from tepm_opt.solvers.mechanics.step_limit import stable_step
+from tepm_opt.solvers.numerics.text import format_names
 
 Method = Literal["implicit", "rk4"]
 METHODS: tuple[Method, ...] = ("implicit", "rk4")
@@ -279,12 +277,6 @@ def run(job: Job, progress: Progress) -> Simulation:
     except KeyboardInterrupt:
         return job.finish_interrupted(int((job.ends <= done).sum()), total)
     return job.finish(Status.SOLVED, len(job.ends), total)
-
-
-def stable_step(equilibrium: Equilibrium) -> float:
-    """Largest step in s at which RK4 is stable for small motions about an equilibrium, effects included."""
-    with threadpool_limits(1, "blas"):  # threads would wait for each other on a matrix of this size
-        return rk4_step_limit(np.linalg.eigvals(linearise(equilibrium, actuators=False).A))
 
 
 def _stable_step(model: CompiledModel, setpoints: SetPoints, drive: Drive, step: float | None) -> float:

@@ -13,8 +13,8 @@ from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.effects import find_effect
 from tepm_opt.models.robot import UNITS, Parameters
-from tepm_opt.solvers.plant import Free, Prediction
-from tepm_opt.solvers.predict import LONGEST_STEP, predict
+from tepm_opt.solvers.mechanics.plant import Free, Prediction
+from tepm_opt.solvers.mechanics.predict import LONGEST_STEP, predict
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ import scipy.linalg as sla
 from tepm_opt.models.backends.interface import LoadCase, Status
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.outcome import SOLVED, Ending, Outcome
-from tepm_opt.solvers.text import millimetres
+from tepm_opt.solvers.numerics.text import millimetres
 
 INDIFFERENT = 1e-9  # N/m that count as none
 THROUGH_BASE = "a plate runs through the base or the plate below it"
@@ -148,30 +148,26 @@ def solve_statics(
     Raises:
         InputError: inputs or loads of a wrong shape, not finite or outside the robot's limits.
     """
-    return equilibrium(model, model.check_inputs(inputs), model.check_loads(loads), start, settings)
+    case = LoadCase(model.check_inputs(inputs), False, model.check_loads(loads).ravel(), model.theta)
+    return _solve(model, case, start, settings, explain=True)
 
 
-def equilibrium(
-    model: CompiledModel,
-    u: np.ndarray,
-    loads: np.ndarray,
-    start: Equilibrium | None = None,
-    settings: StaticsSettings = DEFAULT,
-    mapped: bool = False,
-    explain: bool = True,
+def solve_actuated_statics(
+    model: CompiledModel, actuation: np.ndarray, loads: np.ndarray, start: Equilibrium | None = None, explain: bool = False
 ) -> Equilibrium:
-    """`solve_statics` for checked arrays.
+    """Equilibrium under effective actuations, behind the effects' input maps, for checked arrays; else as `solve_statics`.
 
     Args:
         model: compiled model.
-        u: inputs, (2 · modules · actuators,) in Pa and N.
+        actuation: pressures, which may be negative, then tensions, (2 · modules · actuators,) in Pa and N.
         loads: known forces on the reference points in G, (points, 3) in N.
         start: an equilibrium to start from; rest where absent.
-        settings: tolerances.
-        mapped: whether u are effective actuations, whose pressures may be negative.
         explain: whether a failure is followed by continuation; not for trial points of an iteration.
     """
-    case = LoadCase(u, mapped, loads.ravel(), model.theta)
+    return _solve(model, LoadCase(actuation, True, loads.ravel(), model.theta), start, DEFAULT, explain)
+
+
+def _solve(model: CompiledModel, case: LoadCase, start: Equilibrium | None, settings: StaticsSettings, explain: bool) -> Equilibrium:
     found = _newton(model, case, model.rest if start is None else start.x, settings)
     if not found.solved and start is not None:
         found = _newton(model, case, model.rest, settings)

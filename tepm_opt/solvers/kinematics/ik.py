@@ -16,12 +16,12 @@ import numpy as np
 from tepm_opt.models.backends.interface import Pose, Status
 from tepm_opt.models.compile import CompiledModel, finite_array
 from tepm_opt.outcome import SOLVED, Ending, Outcome
-from tepm_opt.solvers.allocation import Allocation, allocate
-from tepm_opt.solvers.choices import ActuationMode
-from tepm_opt.solvers.ik_problem import Balance, IkProblem, IkSettings
-from tepm_opt.solvers.nearest import nearest
-from tepm_opt.solvers.statics import Equilibrium, equilibrium
-from tepm_opt.solvers.text import millimetres
+from tepm_opt.solvers.kinematics.actuation_mode import ActuationMode
+from tepm_opt.solvers.kinematics.allocation import Allocation, allocate
+from tepm_opt.solvers.kinematics.ik_problem import Balance, IkProblem, IkSettings
+from tepm_opt.solvers.kinematics.nearest import nearest
+from tepm_opt.solvers.mechanics.statics import Equilibrium, solve_actuated_statics
+from tepm_opt.solvers.numerics.text import millimetres
 
 FORCE_TOLERANCE = 1e-6  # N of change below which forces of redundant actuators are of minimum norm; set points are coarser
 MAX_OVERSHOOT = 0.5  # parts of the forces' range by which the search may leave it; beyond, the nearest point within them is sought
@@ -183,7 +183,7 @@ def _find_holding_inputs(problem: IkProblem, found: Configuration) -> Configurat
         return found
     for _ in range(HOLDING_STEPS):
         effective = model.statics.actuation(found.allocation.inputs, model.theta)
-        held = equilibrium(model, effective, problem.loads, at, mapped=True, explain=False)
+        held = solve_actuated_statics(model, effective, problem.loads, at)
         off = problem.errors(held, at.tip)
         if not held.solved or np.abs(off).max() < problem.settings.tolerance:
             break

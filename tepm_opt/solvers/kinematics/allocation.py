@@ -8,7 +8,7 @@ import numpy as np
 
 from tepm_opt.models.backends.interface import Allotment
 from tepm_opt.models.compile import CompiledModel
-from tepm_opt.solvers.choices import ActuationMode
+from tepm_opt.solvers.kinematics.actuation_mode import ActuationMode
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,6 +1,6 @@
 """Systems of few states that move like a system of many, with a bound on the difference.
 
-Measured is the scaled frequency response (inputs per range, see `System`): the largest singular value of the difference at any
+Measured is the scaled frequency response (inputs per range, see `Linear`): the largest singular value of the difference at any
 frequency, in m per range. The error bound of both methods is twice the sum of the Hankel singular values of what was left out, plus
 1e-6 of the largest of all for rounding errors. python-control's own reduction needs slycot, a Fortran library; this does not.
 """
@@ -14,16 +14,16 @@ import numpy as np
 import scipy.linalg as sla
 
 from tepm_opt.errors import InputError
-from tepm_opt.solvers.linear import Linear, Names, System
-from tepm_opt.solvers.modes import modes
+from tepm_opt.solvers.linear.modes import modes
+from tepm_opt.solvers.linear.state_space import Linear, Names
 
 LEAST = 1e-7  # of the largest Hankel singular value: smaller ones are lost in the rounding errors of the Gramians
 ROUNDING = 1e-6  # of the largest Hankel singular value: added to bounds for those errors
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Reduced(System):
-    """A reduced system: see `System`. Its states have no physical meaning; the delay is kept aside as before.
+class Reduced(Linear):
+    """A reduced system: see `Linear`. Its states have no physical meaning; the delay is kept aside as before.
 
     Attributes:
         method: "balanced" or "modal".
@@ -42,7 +42,7 @@ class Reduced(System):
 
 
 def balanced_reduction(
-    linear: System, order: int | None = None, tolerance: float | None = None, inputs: Names = None, outputs: Names = None,
+    linear: Linear, order: int | None = None, tolerance: float | None = None, inputs: Names = None, outputs: Names = None,
     exact_gain: bool = True,
 ) -> Reduced:  # fmt: skip
     """Balanced reduction by the square-root method (Tombs and Postlethwaite, Int. J. Control 46, 1987).
@@ -62,7 +62,7 @@ def balanced_reduction(
     _check_stable(system)
     if (order is None) == (tolerance is None):
         raise InputError("balanced_reduction: give either an order or a tolerance")
-    hankel, left, right = _balance(system)
+    hankel, left, right = _balance(system.A, system.B * system.ranges, system.C)
     tails = 2 * np.append(np.cumsum(hankel[::-1])[::-1], 0.0)
     bounds = tails + ROUNDING * hankel[0]  # by order
     if tolerance is not None:
@@ -105,14 +105,12 @@ def modal(linear: Linear, below: float, inputs: Names = None, outputs: Names = N
         left = np.array([row for mode in chosen for row in _real((2 if mode.oscillates else 1) * mode.left.conj(), mode.oscillates)])
         part[kept] = [left @ system.A @ right, left @ system.B, system.C @ right]
     A, B, C = part[False]
-    rest = System(
-        A=A, B=B, C=C, D=np.zeros_like(system.D), inputs=system.inputs, outputs=system.outputs, ranges=system.ranges, delay=0.0
-    )  # fmt: skip
-    hankel = _balance(rest)[0]
-    return _assemble_reduced(system, (*part[True], system.D + rest.gain()), "modal", 2 * hankel.sum() + ROUNDING * hankel[0], hankel)
+    hankel = _balance(A, B * system.ranges, C)[0]
+    D = system.D - C @ np.linalg.solve(A, B)
+    return _assemble_reduced(system, (*part[True], D), "modal", 2 * hankel.sum() + ROUNDING * hankel[0], hankel)
 
 
-def difference(system: System, reduced: System, frequencies: Sequence[float] | np.ndarray) -> np.ndarray:
+def difference(system: Linear, reduced: Linear, frequencies: Sequence[float] | np.ndarray) -> np.ndarray:
     """Largest singular value of the difference of two scaled frequency responses, (frequencies,) in m per range; frequencies in Hz.
 
     The full system is narrowed to the inputs and outputs of the reduced one.
@@ -126,19 +124,19 @@ def _real(vector: np.ndarray, oscillates: bool) -> list[np.ndarray]:
     return [np.real(vector), np.imag(vector)] if oscillates else [np.real(vector)]
 
 
-def _check_stable(system: System) -> None:
+def _check_stable(system: Linear) -> None:
     worst = float(np.linalg.eigvals(system.A).real.max())
     if not worst < 0:
         raise InputError(f"reduction: the system is unstable (an eigenvalue has real part {worst:.3g} 1/s); valid: a stable equilibrium")
 
 
-def _balance(system: System) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Hankel singular values of the scaled system, and left and right factors of its balanced states, left @ right = 1.
+def _balance(A: np.ndarray, B: np.ndarray, C: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Hankel singular values of a system, and left and right factors of its balanced states, left @ right = 1.
 
     States that cannot be told from rounding errors are left out.
     """
-    _, (scale, _) = sla.matrix_balance(system.A, permute=False, separate=True)
-    A, B, C = system.A * scale / scale[:, None], system.B * system.ranges / scale[:, None], system.C * scale
+    _, (scale, _) = sla.matrix_balance(A, permute=False, separate=True)
+    A, B, C = A * scale / scale[:, None], B / scale[:, None], C * scale
     reach = _factor(sla.solve_continuous_lyapunov(A, -B @ B.T))
     see = _factor(sla.solve_continuous_lyapunov(A.T, -C.T @ C))
     u, values, v = np.linalg.svd(see.T @ reach, full_matrices=False)
@@ -162,9 +160,10 @@ def _residual(A: np.ndarray, B: np.ndarray, C: np.ndarray, order: int) -> tuple[
     return A[kept, kept] + across @ by_kept, B[kept] + across @ by_input, C[:, kept] + C[:, fast] @ by_kept
 
 
-def _assemble_reduced(system: System, matrices: Sequence[np.ndarray], method: str, bound: float, hankel: np.ndarray) -> Reduced:
+def _assemble_reduced(system: Linear, matrices: Sequence[np.ndarray], method: str, bound: float, hankel: np.ndarray) -> Reduced:
     A, B, C, D = matrices
+    kinds, names = np.repeat("reduced", len(A)), tuple(f"state_{k + 1}" for k in range(len(A)))
     return Reduced(
         A=A, B=B, C=C, D=D, inputs=system.inputs, outputs=system.outputs, ranges=system.ranges, delay=system.delay,
-        method=method, bound=float(bound), hankel=hankel,
+        equilibrium=system.equilibrium, kinds=kinds, state_names=names, method=method, bound=float(bound), hankel=hankel,
     )  # fmt: skip

@@ -21,7 +21,8 @@ from tepm_opt.errors import InputError
 from tepm_opt.models.backends.interface import GUARDS, MODES
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.renamed import RenamedMethod
-from tepm_opt.solvers.statics import Equilibrium
+from tepm_opt.solvers.mechanics.statics import Equilibrium
+from tepm_opt.solvers.numerics.matrices import expand_band, upper_from_band
 
 NEAR = 0.03  # residual of a mode, of its stiffness, at which subspace iteration ends; frequencies err by its square
 SWEEPS = 12  # after which a start was no neighbour: exact modes are cheaper
@@ -141,8 +142,7 @@ def network_matrices(at: Equilibrium) -> tuple[np.ndarray, np.ndarray, np.ndarra
     model = at.model
     fixed = fixed_part(model)
     stiffness, damping = model.statics.matrices(at.x, at.load_case)
-    half = _upper(damping)
-    return fixed.axial(at), fixed.masses, stiffness, half + half.T - np.diag(damping[0])
+    return fixed.axial(at), fixed.masses, stiffness, expand_band(damping)
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +188,7 @@ def fixed_part(model: CompiledModel) -> Fixed:
 def _exact(stiffness: np.ndarray, masses: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Squares of the lowest natural frequencies and their shapes, from the stiffness matrix in lower banded storage."""
     root = np.sqrt(masses)
-    half = _upper(stiffness)
+    half = upper_from_band(stiffness)
     scaled = half.T / np.outer(root, root)
     values, vectors = sla.eigh(scaled, lower=True, subset_by_index=[0, count - 1], check_finite=False)
     return values, vectors / root[:, None]
@@ -211,16 +211,7 @@ def _iterate_subspace(factor: np.ndarray, masses: np.ndarray, basis: np.ndarray,
     return None
 
 
-def _upper(band: np.ndarray) -> np.ndarray:
-    """Upper half of a symmetric matrix (n, n) in lower banded storage."""
-    n = band.shape[1]
-    width = min(len(band), n + 1)
-    half = np.zeros((n, n + 1))
-    half[:, :width] = band[:width].T  # row i begins at column i where rows have n elements
-    return half.reshape(-1)[: n * n].reshape(n, n)
-
-
 def _project(band: np.ndarray, shapes: np.ndarray) -> np.ndarray:
     """shapesᵀ A shapes of a symmetric matrix A in lower banded storage."""
-    half = shapes.T @ (_upper(band) @ shapes)
+    half = shapes.T @ (upper_from_band(band) @ shapes)
     return half + half.T - (shapes.T * band[0]) @ shapes

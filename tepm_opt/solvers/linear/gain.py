@@ -16,11 +16,11 @@ from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.layout import Layout
 from tepm_opt.progress import Progress, silent, track
 from tepm_opt.renamed import RenamedMethod
-from tepm_opt.solvers.choices import ActuationMode
-from tepm_opt.solvers.kinematics import Configuration, each_configuration
-from tepm_opt.solvers.parallel import each_done
-from tepm_opt.solvers.statics import Equilibrium, solve_statics
-from tepm_opt.solvers.text import html_table
+from tepm_opt.solvers.kinematics.actuation_mode import ActuationMode
+from tepm_opt.solvers.kinematics.ik import Configuration, each_configuration
+from tepm_opt.solvers.mechanics.statics import Equilibrium, solve_statics
+from tepm_opt.solvers.numerics.parallel import each_done
+from tepm_opt.solvers.numerics.text import html_table
 
 Actuation = Literal["pressure", "tension", "both"]
 

@@ -16,8 +16,8 @@ import numpy as np
 
 from tepm_opt.models.backends.interface import LoadCase, Status
 from tepm_opt.outcome import SOLVED, Ending, Outcome
-from tepm_opt.solvers.ik_problem import Balance, IkProblem
-from tepm_opt.solvers.statics import tell_weight
+from tepm_opt.solvers.kinematics.ik_problem import Balance, IkProblem
+from tepm_opt.solvers.mechanics.statics import tell_weight
 
 UNIT = 1e-2  # m, of errors; forces are in parts of their range: both programs and penalties are then of order 1
 STEPS = 60  # of a search

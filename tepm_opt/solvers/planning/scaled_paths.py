@@ -12,8 +12,8 @@ from tepm_opt.errors import InputError, unknown_name
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.model import Model
 from tepm_opt.models.robot import Robot
-from tepm_opt.solvers.kinematics import each_configuration
-from tepm_opt.solvers.trajectories import END, HEIGHT, RADIUS, SHAPES, START, Shape, Trajectory
+from tepm_opt.solvers.kinematics.ik import each_configuration
+from tepm_opt.solvers.planning.trajectories import END, HEIGHT, RADIUS, SHAPES, START, Shape, Trajectory
 
 PAPER = 0.400  # m, length of the arm that the shapes' own sizes are for; they lie as high above its base
 SHARES = (1.0, 0.75, 0.5, 0.35, 0.25, 0.15)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tepm_opt.data.run import Run
-from tepm_opt.solvers.text import shorten
+from tepm_opt.solvers.numerics.text import shorten
 
 BLOCK = 1.0  # s; residuals further apart than this count as independent
 

@@ -10,9 +10,9 @@ import numpy as np
 
 from tepm_opt.errors import unknown_name
 from tepm_opt.progress import Progress, silent, track
-from tepm_opt.solvers.identify import ITERATIONS, ParameterEstimate, Problem, identify
-from tepm_opt.solvers.parallel import each_done
-from tepm_opt.solvers.plant import PredictionError
+from tepm_opt.solvers.identification.identify import ITERATIONS, ParameterEstimate, Problem, identify
+from tepm_opt.solvers.mechanics.plant import PredictionError
+from tepm_opt.solvers.numerics.parallel import each_done
 
 
 def unidentifiable(estimate: ParameterEstimate, max_relative_std: float = 0.5) -> list[str]:

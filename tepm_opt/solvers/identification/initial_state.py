@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from tepm_opt.data.run import Run
-from tepm_opt.solvers.parallel import in_parallel
-from tepm_opt.solvers.plant import START, Plant, Prediction, PredictionError
-from tepm_opt.solvers.residuals import Residual
+from tepm_opt.solvers.identification.residuals import Residual
+from tepm_opt.solvers.mechanics.plant import START, Plant, Prediction, PredictionError
+from tepm_opt.solvers.numerics.parallel import in_parallel
 
 FIRST = 20  # samples that tell a state where a run begins as "measured"
 STEPS, NEAR, SHORTER = 8, 2, 4  # of Gauss and Newton: from anywhere, from a guess, and shortenings of each

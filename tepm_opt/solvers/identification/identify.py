@@ -11,11 +11,11 @@ import numpy as np
 from tepm_opt.errors import InputError
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent
-from tepm_opt.solvers.least_squares import bounded_step
-from tepm_opt.solvers.plant import Plant, PredictionError
-from tepm_opt.solvers.problem import Problem
-from tepm_opt.solvers.residuals import Residual, apply_weights, normal_equations
-from tepm_opt.solvers.text import html_table
+from tepm_opt.solvers.identification.problem import Problem
+from tepm_opt.solvers.identification.residuals import Residual, apply_weights, normal_equations
+from tepm_opt.solvers.mechanics.plant import Plant, PredictionError
+from tepm_opt.solvers.numerics.least_squares import bounded_step
+from tepm_opt.solvers.numerics.text import html_table
 
 ITERATIONS = 15
 MAD = 1.4826  # of a normal distribution's median absolute deviation

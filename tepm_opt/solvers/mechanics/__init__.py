@@ -1,0 +1,1 @@
+"""Equilibrium and motion of the network, and what it predicts of measured runs."""

@@ -1,0 +1,1 @@
+"""Helpers that know no robot: least squares, matrices, work on several cores, short texts."""
