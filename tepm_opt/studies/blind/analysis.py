@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from tepm_opt.studies.blind.engine import ENGINES
 from tepm_opt.studies.blind.judged import EVEN, NAMED, NOTHING, Judged
 from tepm_opt.studies.blind.rates import Mean, Rate, average_probability, count_rate, rate_engine, rate_stated_set, round_number, wilson
 
@@ -53,7 +54,7 @@ class Analysis:
         failed: messages of those whose data could not be made, with how often.
         rates: in the order of the table.
         detection: by the misfit of single library causes: bin's middle, found, right, all of it.
-        truth: mean probability stated of a cause that MuJoCo has, over trials of the family `engine`; None where there are none.
+        truth: by family of another engine, mean probability stated of a cause that it has; none of a family without such trials.
         reliability: of stated probabilities; None where hardly any is stated.
         confusion: by hidden cause, how often what was said.
         closed: parts of the gap closed on validation runs where the answer is right and something is hidden.
@@ -64,7 +65,7 @@ class Analysis:
     failed: Mapping[str, int]
     rates: Sequence[Rate]
     detection: Sequence[tuple[float, Rate, Rate]]
-    truth: Mean | None
+    truth: Mapping[str, Mean]
     reliability: Reliability | None
     confusion: Mapping[str, Mapping[str, int]]
     closed: np.ndarray
@@ -81,7 +82,7 @@ class Analysis:
             "detection": [
                 {"misfit_over_noise": round_number(at), "found": a.as_json(), "right": b.as_json()} for at, a, b in self.detection
             ],
-            "probability_of_truth_by_engine": None if self.truth is None else self.truth.as_json(),
+            **{f"probability_of_truth_by_{name}": self.truth[name].as_json() if name in self.truth else None for name in ENGINES},
             "calibration": None
             if found is None
             else {
@@ -108,7 +109,7 @@ def analyse_results(results: Iterable[Mapping[str, Any]]) -> Analysis:
         dict(failed),
         rates(judged),
         detection(judged),
-        average_probability([each for each in judged if each.family == "engine"]),
+        {name: mean for name in ENGINES if (mean := average_probability([each for each in judged if each.family == name])) is not None},
         reliability(judged),
         confusion(judged),
         np.array([value for value in closed if value is not None]),
@@ -118,7 +119,7 @@ def analyse_results(results: Iterable[Mapping[str, Any]]) -> Analysis:
 
 def rates(judged: Sequence[Judged]) -> list[Rate]:
     """All rates, with their goals."""
-    of = {name: [each for each in judged if each.family == name] for name in ("closed", "open", "wrong", "poor", "null", "engine")}
+    of = {name: [each for each in judged if each.family == name] for name in ("closed", "open", "wrong", "poor", "null", *ENGINES)}
     library = [each for each in of["closed"] if each.causes and each.clear(CLEAR)]
     clear = {k: [each for each in library if len(each.causes) == k] for k in (1, 2, 3, 4)}
     singles = [each for each in of["closed"] if len(each.causes) == 1]
@@ -145,7 +146,7 @@ def rates(judged: Sequence[Judged]) -> list[Rate]:
             count_rate(f"right: poor data, {flaw}", [each for each in of["poor"] if each.label["flaw"] == flaw], lambda each: each.right)
             for flaw in sorted({each.label["flaw"] for each in of["poor"]})
         ),
-        *rate_engine(of["engine"]),
+        *(rate for name, engine in ENGINES.items() for rate in rate_engine(engine.title, of[name])),
         rate_stated_set(library, 0.95),
         Rate("95 % intervals of effects that hold the truth", sum(effects), len(effects), 0.9, 0.98),
         Rate("95 % intervals of the robot's parameters that hold the truth", sum(robot), len(robot), 0.9, 0.98),

@@ -25,7 +25,7 @@ Commands = Callable[[SetPoints], SetPoints]
 Sight = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Change of points (rows, points, 3) in m, at times (rows,) in s, before they are recorded."""
 Build = Callable[[Any, Body], None]
-"""Changes of a document of MuJoCo (`mujoco.MjSpec`) of a network in numbers."""
+"""Changes an engine's document of a robot (`mujoco.MjSpec`, `RodDesign`) and its network in numbers."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Deviation:
         imperfections: of the rig, as a rig file has them.
         factors: true parameters over the robot file's.
         before, after: what acts on the commands and on the points besides the rig's imperfections.
-        build: what changes MuJoCo's document of the machine, of the family `engine` only.
+        build: what changes an engine's document of the machine, of the families `engine` and `rod` only.
     """
 
     imperfections: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)

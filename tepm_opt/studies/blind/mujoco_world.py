@@ -6,27 +6,20 @@ bladder pushes its ends apart, the motor pulls them together. Semi-implicit Eule
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 
-from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.errors import InputError
 from tepm_opt.hw.simulation.equilibrium import find_equilibrium
-from tepm_opt.hw.simulation.imperfections.base import Body
-from tepm_opt.hw.simulation.machine import Diverged
 from tepm_opt.hw.simulation.mujoco_network import network_xml
 from tepm_opt.models.robot import Robot
 from tepm_opt.studies.blind.causes import MUSCLES
-from tepm_opt.studies.blind.excitation import COUNT, Excitation
 from tepm_opt.studies.blind.machine import Deviation
+from tepm_opt.studies.blind.world import World
 
-STEP = 1e-4  # s; Euler's method bears 0.13 ms but not 0.17 ms, and at this step errs by less than 0.01 mm
-TICK = 40  # steps in which the controls stay, 4 ms
 SETTLING = 4.0  # s for friction, stops and contacts before a run
-BOUND = 20.0  # m, from which the simulation has diverged
 
 
 def load_mujoco() -> Any:
@@ -42,7 +35,7 @@ def load_mujoco() -> Any:
     return mujoco
 
 
-class MujocoWorld:
+class MujocoWorld(World):
     """A robot in MuJoCo, with changes of its document.
 
     Args:
@@ -50,17 +43,18 @@ class MujocoWorld:
         machine: factors of the parameters, and what changes MuJoCo's document.
 
     Attributes:
-        body: the network in numbers.
         model, data: MuJoCo's own.
     """
 
+    name = "MuJoCo"
+    step = 1e-4  # s; Euler's method bears 0.13 ms but not 0.17 ms, and at this step errs by less than 0.01 mm
+    tick = 40  # 4 ms
+
     def __init__(self, robot: Robot, machine: Deviation) -> None:
+        super().__init__(robot, machine)
         self._engine = mujoco = load_mujoco()
         mujoco.set_mju_user_warning(lambda text: None)
-        values = robot.parameters.model_dump()
-        changed = {name: values[name] * factor for name, factor in machine.factors.items()}
-        self.body = Body.from_robot(robot.model_copy(update={"parameters": robot.parameters.model_copy(update=changed)}))
-        spec = mujoco.MjSpec.from_string(network_xml(self.body, STEP))
+        spec = mujoco.MjSpec.from_string(network_xml(self.body, self.step))
         self._equip(spec)
         if machine.build is not None:
             machine.build(spec, self.body)
@@ -117,7 +111,7 @@ class MujocoWorld:
         position = find_equilibrium(forces, np.zeros(self._free))
         forces(position[None])
         if data.nefc > data.nf or model.nv > self._free:  # stops, contacts and further bodies have an equilibrium of their own
-            self._advance(round(SETTLING / STEP))
+            self._advance(round(SETTLING / self.step))
             data.time = 0.0
 
     def _fill(self, inputs: np.ndarray) -> None:
@@ -137,43 +131,11 @@ class MujocoWorld:
     def _advance(self, steps: int) -> None:
         self._engine.mj_step(self.model, self.data, steps)
 
-    def record(self, asked: SetPoints) -> np.ndarray:
-        """Points without noise while inputs and tip force follow set points linearly, (rows, points, 3) in m.
+    def _measure_reach(self) -> float:
+        return float(np.abs(self.data.qpos).max())
 
-        Raises:
-            NoEquilibriumError, Diverged: the machine does not bear it.
-        """
-        levels = np.hstack([asked.inputs, asked.tip_force])
-        self.settle(levels[0, : 2 * COUNT], levels[0, 2 * COUNT :])
-        found = [self._points()]
-        for seconds, before, after in zip(np.diff(asked.time), levels[:-1], levels[1:], strict=True):
-            ticks = max(round(seconds / (TICK * STEP)), 1)
-            for part in (np.arange(ticks) + 0.5) / ticks:
-                level = before + part * (after - before)
-                self._command(level[: 2 * COUNT], level[2 * COUNT :])
-                self._advance(TICK)
-            found.append(self._points())
-            if not np.abs(self.data.qpos).max() < BOUND:
-                raise Diverged(f"MuJoCo's simulation diverged before {self.data.time:.2f} s")
-        return np.array(found)
-
-    def _points(self) -> np.ndarray:
-        """Reference points in G, (points, 3) in m."""
+    def _locate_points(self) -> np.ndarray:
         layout, mount = self.body.layout, self.body.robot.mount
         nodes = self._rest.copy()
         nodes[1:] += self.data.qpos[: self._free].reshape(layout.levels, layout.actuators, 3)
         return layout.point_weights @ nodes.mean(axis=1) @ mount.rotation.T + np.array(mount.base_position_m)
-
-
-def simulate(robot: Robot, machine: Deviation, runs: Sequence[Excitation]) -> list[np.ndarray]:
-    """Points of runs without noise, each (rows, points, 3) in m.
-
-    Raises:
-        NoEquilibriumError, Diverged: the machine does not bear it.
-    """
-    world = MujocoWorld(robot, machine)
-    found = []
-    for run in runs:
-        points = world.record(run.setpoints)
-        found.append(points if machine.after is None else machine.after(run.began + run.setpoints.time, points))
-    return found

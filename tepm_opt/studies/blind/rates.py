@@ -1,4 +1,4 @@
-"""Rates and means over blind trials, with their intervals; those of the family `engine`."""
+"""Rates and means over blind trials, with their intervals; those of other engines."""
 
 from __future__ import annotations
 
@@ -96,17 +96,22 @@ def count_rate(name: str, judged: Iterable[Judged], so: Callable[[Judged], bool]
     return Rate(name, sum(every), len(every), least, most)
 
 
-def rate_engine(judged: Sequence[Judged]) -> list[Rate]:
-    """Rates of trials whose robot MuJoCo moves."""
+def rate_engine(title: str, judged: Sequence[Judged]) -> list[Rate]:
+    """Rates of trials whose robot another engine moves.
+
+    Args:
+        title: of the engine.
+        judged: its trials.
+    """
     known, foreign, null = ([each for each in judged if each.label["kind"] == kind] for kind in ("lib", "foreign", "null"))
     single, several = ([each for each in known if (len(each.causes) > 1) is many] for many in (False, True))
     return [
-        count_rate("MuJoCo: an alarm where nothing is hidden", null, lambda each: each.status != NOTHING),
-        count_rate("MuJoCo: detected", [*known, *foreign], is_detected),
-        count_rate("MuJoCo: right, one effect", single, lambda each: each.right),
-        count_rate("MuJoCo: right, several effects", several, lambda each: each.right),
-        count_rate("MuJoCo: right, outside the library", foreign, lambda each: each.right),
-        count_rate("MuJoCo: a false name above 0.9", judged, lambda each: each.false_above(SURE)),
+        count_rate(f"{title}: an alarm where nothing is hidden", null, lambda each: each.status != NOTHING),
+        count_rate(f"{title}: detected", [*known, *foreign], is_detected),
+        count_rate(f"{title}: right, one effect", single, lambda each: each.right),
+        count_rate(f"{title}: right, several effects", several, lambda each: each.right),
+        count_rate(f"{title}: right, outside the library", foreign, lambda each: each.right),
+        count_rate(f"{title}: a false name above 0.9", judged, lambda each: each.false_above(SURE)),
     ]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tepm_opt.studies.blind.analysis import Analysis, Rate
+from tepm_opt.studies.blind.engine import ENGINES
 
 CALIBRATION = 0.03
 """Largest calibration error wanted."""
@@ -22,9 +23,9 @@ def markdown(analysis: Analysis) -> str:
         "| --- | --- | --- | --- | --- |",
         *(_row(rate) for rate in analysis.rates if rate.of),
     ]
-    if (truth := analysis.truth) is not None:
+    for name, truth in analysis.truth.items():
         numbers = f"{truth.value:.3f} | {truth.of} | {truth.low:.3f} … {truth.high:.3f}"
-        lines.append(f"| MuJoCo: mean probability stated of a true cause | {numbers} | |")
+        lines.append(f"| {ENGINES[name].title}: mean probability stated of a true cause | {numbers} | |")
     found = analysis.reliability
     if found is not None:
         low, high = found.band

@@ -18,8 +18,8 @@ from tepm_opt.errors import unknown_name
 from tepm_opt.models.channels import channels_of
 from tepm_opt.models.effects import effects
 from tepm_opt.models.robot import Robot, load_robot
-from tepm_opt.studies.blind import engine
 from tepm_opt.studies.blind.causes import LIBRARY, Cause
+from tepm_opt.studies.blind.engine import ENGINES
 from tepm_opt.studies.blind.excitation import RATE, draw_runs, thin_run
 from tepm_opt.studies.blind.flaws import CLOCKS, POOR, Flaw, add_feedback, mistaken, spoil_run
 from tepm_opt.studies.blind.foreign import FOREIGN
@@ -27,12 +27,12 @@ from tepm_opt.studies.blind.hidden import Experiment, Hidden, describe
 from tepm_opt.studies.blind.machine import Deviation, combine_deviations, rig_file, simulate_run
 from tepm_opt.studies.blind.sizes import UNBEARABLE, Pilot
 
-Family = Literal["closed", "open", "wrong", "poor", "null", "engine"]
+Family = Literal["closed", "open", "wrong", "poor", "null", "engine", "rod"]
 FAMILIES: tuple[Family, ...] = get_args(Family)
 CYCLE: tuple[Family, ...] = tuple(next(one for one in FAMILIES if one[0] == letter) for letter in "cnocwcnpocncowpn")
 """Families of trials, by their number, where all are wanted: of 16 five closed, four null, three open, two wrong and two poor.
 
-None of them is `engine`, which takes a minute a trial and is only made where it is asked for.
+Neither `engine` nor `rod` is among them: they take a minute and more a trial and are only made where they are asked for.
 """
 
 NOISE = (1.5e-4, 6e-4)  # m per axis
@@ -127,8 +127,8 @@ def make(trial: Trial) -> Made:
     return _record_machine(trial, random, DRAW[trial.family](random))
 
 
-def _draw_engine(random: np.random.Generator) -> Experiment:
-    return engine.draw_experiment(random, lambda seconds: _pilot(random, Flaw(seconds)))
+def _draw_engine(family: str) -> Callable[[np.random.Generator], Experiment]:
+    return lambda random: ENGINES[family].draw_experiment(random, lambda seconds: _pilot(random, Flaw(seconds)))
 
 
 def _pilot(random: np.random.Generator, flaw: Flaw | None = None) -> Pilot:
@@ -205,7 +205,8 @@ DRAW: dict[Family, Callable[[np.random.Generator], Experiment]] = {
     "wrong": _draw_wrong,
     "poor": _draw_poor,
     "null": lambda random: Experiment(_pilot(random), "null"),
-    "engine": _draw_engine,
+    "engine": _draw_engine("engine"),
+    "rod": _draw_engine("rod"),
 }
 
 
@@ -242,8 +243,8 @@ def _record_run(trial: Trial, experiment: Experiment, number: int, machine: Devi
         number: of the run.
         machine: what differs from the robot file.
     """
-    if trial.family == "engine":
-        return engine.record_run(experiment.pilot, machine, experiment.pilot.runs[number], f"{trial} {number}")
+    if trial.family in ENGINES:
+        return ENGINES[trial.family].record_run(experiment.pilot, machine, experiment.pilot.runs[number], f"{trial} {number}")
     pilot, noise = experiment.pilot, zlib.crc32(f"{trial} {number}".encode())
     file, planned = rig_file(pilot.robot, machine, pilot.noise, trial.number, pilot.rate), pilot.runs[number]
     run = simulate_run(file, machine, planned, noise)
