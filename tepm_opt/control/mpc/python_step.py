@@ -83,7 +83,7 @@ class PythonStep:
             ready = self._prepare(row)
         self._ready, state.taken = None, sample
         passed, state.row = row - state.row, row
-        state.estimator, state.actuators = ready.estimator, ready.actuators
+        state.estimator, state.actuators, state.lag_factor = ready.estimator, ready.actuators, ready.lag_factor
         state.actuators.correct(sample, passed * self._setup.reference.period)
         state.effects.advance(state.actuators, self._setup.reference.period)
         estimate = state.estimator.update(sample.points)
@@ -107,26 +107,29 @@ class PythonStep:
         return Telemetry(columns | {"program_seconds": step.seconds[1]}, dict(self.fallbacks), doubts)
 
     def _note(self) -> None:
-        """Update noise of the tracker and doubts by the last sample."""
+        """Update noise of the tracker, doubts and the lags' factor by the last sample."""
         state = self._state
         if state.taken is not None:
             state.noise.add(state.taken.points)
             self._doubts.count(state.actuators.offsets)
             state.late, state.quicker = state.sent.late + state.actuators.late, state.actuators.lags.quicker
+            state.lag_factor.correct(state.estimator.correction, state.estimator, state.actuators)
             state.taken = None
 
     def _prepare(self, row: int) -> Prepared:
         """The preparation for a sample at a row of the reference."""
         self._note()
         state, reference, settings = self._state, self._setup.reference, self._setup.filter
-        estimator, actuators = copy.copy(state.estimator), state.actuators.copy()
+        estimator, actuators, lag_factor = copy.copy(state.estimator), state.actuators.copy(), copy.copy(state.lag_factor)
         estimator.noise = state.noise.measured
         for passed in range(state.row, row):
             actuators.command = state.sent.command_at(passed)
+            slopes = lag_factor.advance(actuators)
             known = actuators.advance() + state.effects.forces
             a, b = reference.rows_at(np.array([passed, passed + 1]))
             rates = (reference.lengths[b] - reference.lengths[a]) / reference.period
-            estimator.predict(known, actuators.tension, rates, self._points.find(passed + 1))
+            now, later = estimator.operating, self._points.find(passed + 1)
+            lag_factor.predict(slopes, estimator.predict(known, actuators.tension, rates, later).A, now, later)
         then, seen, directions = self._points.find(row + self.ahead), estimator.estimate(np.zeros(0)), [estimator.direction]
         for at in range(row, row + self.ahead):
             a, b = reference.rows_at(np.array([at, at + 1]))
@@ -139,7 +142,7 @@ class PythonStep:
         factor = 1 + settings.load_share / estimator.middle * foreseen
         self._forecast.horizon.is_blind = estimator.is_blind
         self._program.prepare(self._forecast.prepare(then, reference, rows), factor[:stages])
-        return Prepared(row, self.ahead, rows, estimator, actuators, then, np.array(directions[1:]), courses, foreseen, factor)
+        return Prepared(row, self.ahead, rows, estimator, actuators, lag_factor, then, np.array(directions[1:]), courses, foreseen, factor)
 
     def _look_ahead(self, ready: Prepared, estimate: StateEstimate) -> Ahead:
         """From the sample's time to when a new command can act, under the commands that are on their way."""

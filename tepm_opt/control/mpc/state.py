@@ -9,6 +9,7 @@ import numpy as np
 
 from tepm_opt.control.actuation.actuators import Actuators, InputEffects
 from tepm_opt.control.actuation.delay_line import CommandDelayLine
+from tepm_opt.control.actuation.lag_factor import FIRST, LEAST_FACTOR, LagFactor
 from tepm_opt.control.actuation.regulator_lags import RegulatorLags
 from tepm_opt.control.diagnostics.sensors import TrackerNoise
 from tepm_opt.control.estimation.kalman_filter import DiscreteModalModel, Estimator
@@ -50,6 +51,7 @@ class MpcState:
 
     Attributes:
         estimator, actuators: at the last sample.
+        lag_factor: of regulators without monitors, likewise.
         effects: of the model on its inputs, likewise.
         sent: commands on their way.
         noise: of the tracker.
@@ -66,6 +68,7 @@ class MpcState:
 
     estimator: Estimator
     actuators: Actuators
+    lag_factor: LagFactor
     effects: InputEffects
     sent: CommandDelayLine
     noise: TrackerNoise
@@ -84,10 +87,10 @@ class MpcState:
         """The state before the first sample, at an operating point."""
         first, period, settings = setup.first, setup.reference.period, setup.controller
         lags = RegulatorLags(setup.devices, period, setup.planner.limits, first.pressures)
-        count = len(setup.tension_max)
+        lags.factor, lags.lead_factor, count = FIRST, LEAST_FACTOR, len(setup.tension_max)
+        estimator = Estimator(operating, setup.noise, settings.mid_range * float(setup.tension_max[0]), setup.filter)
         return MpcState(
-            Estimator(operating, setup.noise, settings.mid_range * float(setup.tension_max[0]), setup.filter),
-            Actuators(setup.devices, setup.area, first, lags), copy.copy(setup.effects), CommandDelayLine(first, period, setup.ahead),
+            estimator, Actuators(setup.devices, setup.area, first, lags), LagFactor(count, len(estimator.mean)), copy.copy(setup.effects), CommandDelayLine(first, period, setup.ahead),
             TrackerNoise(setup.noise), np.zeros(count), np.zeros((settings.stages, count)), np.ones((2, count)),
         )  # fmt: skip
 
@@ -100,7 +103,7 @@ class Prepared:
         row: of the reference, at which the sample is expected; `ahead` periods later a new command can act.
         ahead: as of then.
         rows: of the reference at stages −1, 0, 1, …, (preview + 3,).
-        estimator, actuators: brought up to the sample's time.
+        estimator, actuators, lag_factor: brought up to the sample's time.
         then: operating point when a new command can act.
         directions: which way friction pulls after each period until then, (ahead, actuators).
         courses: and over the coming stages, (preview, actuators).
@@ -113,6 +116,7 @@ class Prepared:
     rows: np.ndarray
     estimator: Estimator
     actuators: Actuators
+    lag_factor: LagFactor
     then: DiscreteModalModel
     directions: np.ndarray
     courses: np.ndarray

@@ -66,11 +66,11 @@ static int prepare(step *o, long row) {
   actuators *a = &o->acts[!o->now];
   const settings *s = &o->set;
   const course *c = &o->way;
-  double area[NA], forces[2][NA], rates[NA], direction[NA];
+  double area[NA], forces[2][NA], slopes[2][NA], rates[NA], direction[NA];
   o->ready = 0;
   note(o);
   if (row > o->row + 2 && o->beyond.at) { o->last = *o->beyond.at; o->beyond.at = &o->last; } /* its place may be taken */
-  if (o->corrected) { settle(&o->filters[o->now], &o->to_do); o->corrected = 0; }
+  if (o->corrected) { settle(o, &o->filters[o->now], &o->acts[o->now], &o->to_do); o->corrected = 0; }
   *f = o->filters[o->now];
   *a = o->acts[o->now];
   f->noise = o->measured;
@@ -78,6 +78,9 @@ static int prepare(step *o, long row) {
   for (long passed = o->row; passed < row; passed++) {
     const devices *command = acting(o, passed);
     devices was = a->told;
+    for (int j = 0; j < NA; j++) slopes[0][j] = s->area * a->by_factor[j];
+    slope_by_factor(o, a, command);
+    for (int j = 0; j < NA; j++) slopes[1][j] = s->area * a->by_factor[j];
     advance(o, a, &a->now, command, area, forces);
     slope(a, command);
     advance(o, a, &a->told, command, area, 0);
@@ -91,7 +94,7 @@ static int prepare(step *o, long row) {
     }
     const operating *then = point(o, passed + 1);
     if (!then) return 1;
-    predict(o, f, forces, a->now.tension, rates, then);
+    predict(o, f, forces, slopes, a->now.tension, rates, then);
   }
   if (!f->at && !(f->at = point(o, row))) return 1;
   const operating *then = point(o, row + o->ahead);
@@ -133,6 +136,7 @@ static void plan_pressures(step *o, const devices *acted, const double *area, co
   double part = least(1, h->speed / s->full_feedback_speed);
   for (int j = 0; j < NA; j++) {
     double times[2] = {-s->period / log1p(-share_of(o, a, j, 0)), -s->period / log1p(-share_of(o, a, j, 1))};
+    if (is_unmonitored(o, a, j)) for (int k = 0; k < 2; k++) times[k] *= a->lead_factor / a->factor;
     double wanted[PREVIEW], lead[PREVIEW - WINDOW], direction = turning[j], before = 0, pressure = acted->pressure[j];
     o->slow[j] += s->slow_share * (mean[FORCE + j] - o->slow[j]);
     for (int k = 0; k < PREVIEW; k++) {
@@ -281,9 +285,11 @@ void step_open(step *o, const settings *set, const course *way, linearise *modal
     o->acts[0].share[1][j] = set->exhausting;
     o->acts[0].covariance[0][0][j] = o->acts[0].covariance[1][1][j] = set->lag_variance;
     o->acts[0].path[j] = pressures[j];
+    o->acts[0].off[j] = NAN;
     o->acts[0].misfit[j] = 2 * set->lag_misfit[j] * set->lag_misfit[j];
     o->acts[0].covariance[2][2][j] = set->lag_offset[j] * set->lag_offset[j];
   }
+  set_factor(o, &o->acts[0], set->factor_first, set->factor_std * set->factor_std);
   filter *f = &o->filters[0];
   for (int i = 0; i < NS; i++) {
     double spread = i < NX ? 1e-2 : i < STRENGTH ? 0.5 : i < FRICTION ? set->strength_std : i < HYSTERESIS ? set->friction_std

@@ -1,8 +1,24 @@
 /* Regulators, motors and the Kalman filter. */
 
-/* Share of what is missing by which a pressure nears its command in a period: as learned where readings fit, else as declared. */
+static int is_noisy(const step *o, const actuators *a, int j) { return a->noise[j] > o->set.monitor_noisy[j]; }
+
+static int is_unmonitored(const step *o, const actuators *a, int j) { return isnan(a->off[j]) || is_noisy(o, a, j); }
+
+/* Lets regulators without monitors go by a factor on their declared lags. */
+static void set_factor(const step *o, actuators *a, double factor, double variance) {
+  const settings *s = &o->set;
+  a->factor = factor;
+  a->factor_variance = variance;
+  a->lead_factor = most(factor - s->factor_caution * sqrt(variance), s->factor_least);
+  a->common[0] = 1 - pow(1 - s->filling, 1 / factor);
+  a->common[1] = 1 - pow(1 - s->exhausting, 1 / factor);
+}
+
+/* Share of what is missing by which a pressure nears its command in a period: as learned where readings fit, else as declared; with the
+   factor where no monitor is believed. */
 static double share_of(const step *o, const actuators *a, int j, int exhausts) {
   const settings *s = &o->set;
+  if (is_unmonitored(o, a, j)) return a->common[exhausts];
   double most = s->lag_misfit[j] * s->lag_misfit[j];
   int fits = a->misfit[j] < most && a->offset_path[j] * a->offset_path[j] < 36 * most;
   return fits ? a->share[exhausts][j] : exhausts ? s->exhausting : s->filling;
@@ -20,6 +36,14 @@ static void advance(const step *o, const actuators *known, devices *d, const dev
     d->pressure[j] = lagged(o, known, j, d->pressure[j], command->pressure[j], 1);
     d->tension[j] += within(command->tension[j] - d->tension[j], -o->set.pull, o->set.pull);
     if (forces) forces[1][j] = area[j] * d->pressure[j] - d->tension[j];
+  }
+}
+
+/* Slopes of the pressures by the factor of the lags, a period on from these pressures. */
+static void slope_by_factor(const step *o, actuators *a, const devices *command) {
+  for (int j = 0; j < NA; j++) {
+    double missing = command->pressure[j] - a->now.pressure[j], left = 1 - share_of(o, a, j, !(missing > 0));
+    a->by_factor[j] = left * a->by_factor[j] + (is_unmonitored(o, a, j) ? left * log(left) / a->factor : 0) * missing;
   }
 }
 
@@ -47,6 +71,9 @@ static void learn(const step *o, actuators *a, int j, double measured, double pa
   double by[3] = {a->slope[0][j], a->slope[1][j], 1}, seen[3] = {0}, all = s->lag_noise[j] * s->lag_noise[j];
   double missed = measured - a->path[j] - a->offset_path[j];
   a->misfit[j] += (1 - exp(-passed / s->lag_forgotten)) * (missed * missed - a->misfit[j]);
+  double apart = fabs(missed - a->off[j]) / s->moving_range; /* NaN before the second reading */
+  if (isfinite(apart)) a->noise[j] += (1 - exp(-passed / s->lag_forgotten)) * (apart - a->noise[j]);
+  a->off[j] = missed;
   for (int i = 0; i < 2; i++) a->covariance[i][i][j] += passed * s->lag_drift * s->lag_drift;
   for (int i = 0; i < 3; i++) for (int k = 0; k < 3; k++) seen[i] += a->covariance[i][k][j] * by[k];
   for (int i = 0; i < 3; i++) all += by[i] * seen[i];
@@ -111,7 +138,8 @@ static void take_gauges(const step *o, actuators *a, const double *pressures, co
     a->offset.pressure[j] += share * pressure;
     a->offset.tension[j] += read - tension + share * tension;
     if (tensions && isfinite(tensions[j])) { by += tension * a->rate[j]; squares += a->rate[j] * a->rate[j]; spread += tension * tension; }
-    a->now.pressure[j] = most(a->now.pressure[j] + o->set.belief * missed(pressures, j, a->now.pressure[j] + a->offset.pressure[j]), 0);
+    if (!is_noisy(o, a, j))
+      a->now.pressure[j] = most(a->now.pressure[j] + o->set.belief * missed(pressures, j, a->now.pressure[j] + a->offset.pressure[j]), 0);
     if (fabs(a->offset.tension[j]) > o->set.farthest) continue;
     a->now.tension[j] = most(a->now.tension[j] + o->set.belief * missed(tensions, j, a->now.tension[j] + a->offset.tension[j]), 0);
   }
@@ -128,7 +156,8 @@ static double lateness(const step *o, const actuators *a) {
 static double loaded(const step *o, double tension) { return 1 - o->set.load_share + o->set.load_share * tension / o->set.middle; }
 
 /* The filter a period on, to the operating point `then`. */
-static void predict(const step *o, filter *f, double forces[2][NA], const double *tension, const double *rates, const operating *then) {
+static void predict(const step *o, filter *f, double forces[2][NA], double slopes[2][NA], const double *tension, const double *rates,
+                    const operating *then) {
   const operating *now = f->at;
   const settings *s = &o->set;
   double A[NX][NM] = {{0}}, B[NX][NM], T[NX][NS], push[NX], noisy[NX][NA] = {{0}}, over[NA], turn[NQ][NQ], shift[NQ], kick[NX][NA] = {{0}};
@@ -162,11 +191,14 @@ static void predict(const step *o, filter *f, double forces[2][NA], const double
     TIMES(NQ, NQ, NM, turn, A + part, B + part, 0);
     TIMES(NQ, NQ, NA, turn, noisy + part, kick + part, 0);
   }
-  double mean[NX];
+  double mean[NX], by_factor[NX], moved[NX] = {0};
+  for (int i = 0; i < NX; i++) for (int j = 0; j < NA; j++) moved[i] += now->by_start[i][j] * slopes[0][j] + now->by_end[i][j] * slopes[1][j];
   for (int i = 0; i < NX; i++) {
     mean[i] = i < NQ ? shift[i] : 0;
+    by_factor[i] = 0;
     for (int j = 0; j < NQ; j++) mean[i] += turn[i % NQ][j] * push[i / NQ * NQ + j];
-    for (int j = 0; j < NM; j++) mean[i] += B[i][j] * f->mean[j];
+    for (int j = 0; j < NQ; j++) by_factor[i] += turn[i % NQ][j] * moved[i / NQ * NQ + j];
+    for (int j = 0; j < NM; j++) { mean[i] += B[i][j] * f->mean[j]; by_factor[i] += B[i][j] * f->by_factor[j]; }
   }
   int blind = is_blind(s, f);
   double keep[NS], grown[NS];
@@ -177,8 +209,10 @@ static void predict(const step *o, filter *f, double forces[2][NA], const double
     if (blind && i < NS - 3) drift = i < STRENGTH ? s->blind_force_drift : i < BIAS ? 0 : s->blind_bias_drift;
     grown[i] = s->period * drift * drift + (i < STRENGTH ? s->reversal_noise * s->reversal_noise * over[i - FORCE] : 0);
     f->mean[i] *= keep[i];
+    f->by_factor[i] *= keep[i];
   }
   memcpy(f->mean, mean, sizeof mean);
+  memcpy(f->by_factor, by_factor, sizeof by_factor);
   TIMES(NX, NM, NS, B, f->covariance, T, 0);
   double (*P)[NS] = f->covariance;
   for (int i = 0; i < NX; i++) for (int j = NX; j < NS; j++) P[i][j] = P[j][i] = T[i][j] * keep[j];
@@ -211,7 +245,7 @@ static void expect(const filter *f, correction *c) {
 /* Mean of the filter after a sample's points. */
 static void correct(step *o, filter *f, correction *c, const double *points) {
   const operating *at = f->at;
-  double off[NY], S[NY][NY], left[NY][1];
+  double *off = c->off, S[NY][NY], left[NY][1];
   int count = 0, which[NY];
   o->out.refusals[0] = 0;
   for (int k = 0; k < NY; k++) {
@@ -251,8 +285,36 @@ static void correct(step *o, filter *f, correction *c, const double *points) {
   }
 }
 
-/* The covariance after the same sample, which the commands do not need. */
-static void settle(filter *f, const correction *c) {
+/* The factor of the lags after the same sample, by the factor of the covariance of its innovation, and what goes by it. */
+static void learn_factor(const step *o, filter *f, actuators *a, const correction *c, int count, const int *which, double S[NY][NY],
+                         double W[NY][NS]) {
+  const settings *s = &o->set;
+  double seen[NY][1], off[NY][1], squares = 0, both = 0;
+  for (int k = 0; k < count; k++) {
+    off[k][0] = c->off[which[k]];
+    seen[k][0] = f->by_factor[BIAS + which[k]];
+    for (int i = 0; i < NQ; i++) seen[k][0] += f->at->observe[which[k]][i] * f->by_factor[i];
+  }
+  backed(count, S[0], NY, 1, seen[0], 1, 1);
+  backed(count, S[0], NY, 1, off[0], 1, 1);
+  for (int k = 0; k < count; k++) {
+    squares += seen[k][0] * seen[k][0] / s->factor_coloured;
+    both += seen[k][0] * off[k][0] / s->factor_coloured;
+    for (int i = 0; i < NS; i++) f->by_factor[i] -= W[k][i] * seen[k][0];
+  }
+  double variance = a->factor_variance + s->period * s->factor_drift * s->factor_drift, gain = variance / (1 + variance * squares);
+  double before = a->factor, moved = within(gain * both, -s->factor_move, s->factor_move);
+  set_factor(o, a, within(before + moved, s->factor_least, s->factor_most), gain);
+  moved = a->factor - before;
+  for (int i = 0; i < NS; i++) f->mean[i] += moved * f->by_factor[i];
+  for (int j = 0; j < NA; j++) {
+    a->now.pressure[j] = most(a->now.pressure[j] + moved * a->by_factor[j], 0);
+    a->told.pressure[j] = most(a->told.pressure[j] + moved * a->by_factor[j], 0);
+  }
+}
+
+/* The covariance after the same sample, and the factor of the lags, which the commands do not need. */
+static void settle(const step *o, filter *f, actuators *a, const correction *c) {
   double S[NY][NY], W[NY][NS];
   int count = 0, which[NY];
   for (int k = 0; k < NY; k++) if (c->good[k / 3]) which[count++] = k;
@@ -262,6 +324,7 @@ static void settle(filter *f, const correction *c) {
   }
   upper(count, S[0], NY, 0);
   backed(count, S[0], NY, NS, W[0], NS, 1);
+  if (count) learn_factor(o, f, a, c, count, which, S, W);
   for (int k = 0; k < count; k++)
     for (int i = 0; i < NS; i++) { double s = W[k][i]; for (int j = 0; j < NS; j++) f->covariance[i][j] -= s * W[k][j]; }
 }
