@@ -20,14 +20,15 @@ import math
 import numpy as np
 
 from tepm_opt.control.actuation.actuators import Actuators
+from tepm_opt.control.actuation.regulator_lags import RegulatorLags
 from tepm_opt.control.estimation.kalman_filter import Correction, DiscreteModalModel, Estimator
 
-FIRST = 0.3  # factor before anything was seen
+FIRST = 0.5  # factor before anything was seen
 FACTOR_STD = 0.7  # its 1 sigma then
 FACTOR_DRIFT = 0.05  # of it in 1/√s: how fast regulators change
 LEAST_FACTOR, MOST_FACTOR = 0.05, 2.5  # bounds of the estimate; the least is at once, but for a period
 MOST_MOVE = 0.3  # most by which a sample moves it
-COLOURED = 4.0  # times the innovations' covariance that is reckoned with: what friction leaves of them is not white
+COLOURED = 3.0  # times the innovations' covariance that is reckoned with: what friction leaves of them is not white
 CAUTION = 2.0  # standard deviations by which pressures lead less
 
 
@@ -49,10 +50,11 @@ class LagFactor:
         self.value, self.variance = FIRST, FACTOR_STD**2
         self._by_pressure, self._by_state = np.zeros(actuators), np.zeros(states)  # slopes of pressures in Pa and states by the factor
 
-    @property
-    def lead(self) -> float:
-        """Factor by which pressures lead, the less the more uncertain it is."""
-        return max(self.value - CAUTION * math.sqrt(self.variance), LEAST_FACTOR)
+    def tell(self, lags: RegulatorLags) -> None:
+        """Let lags go by the factor: as estimated, led by what is nearest to the declared lag within its doubt, fed back by the least."""
+        doubt = CAUTION * math.sqrt(self.variance)
+        lags.factor, lags.lead_factor = self.value, min(max(1.0, self.value - doubt), self.value + doubt)
+        lags.feedback_factor = max(self.value - doubt, LEAST_FACTOR)
 
     def advance(self, actuators: Actuators) -> np.ndarray:
         """Carry the pressures' slopes a period on, before the actuators are; slopes of the axial forces at its start and end, (2, actuators)
@@ -90,4 +92,4 @@ class LagFactor:
         self._by_state = self._by_state - found.gain @ seen
         estimator.mean = estimator.mean + (self.value - before) * self._by_state
         actuators.shift_pressures((self.value - before) * self._by_pressure)
-        actuators.lags.factor, actuators.lags.lead_factor = self.value, self.lead
+        self.tell(actuators.lags)

@@ -10,6 +10,7 @@ or with one that is noisy, they are multiplied by a factor that others may find 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -27,6 +28,21 @@ KNOWN = 0.25  # 1 sigma of the logarithm up to which a lag counts as known
 NOISY_MONITOR = 0.008  # of the pressure range: noise of a monitor, 1 sigma, beyond which it is not believed
 MOVING_RANGE = 2 / math.sqrt(math.pi)  # mean absolute difference of two readings with noise of 1 sigma each
 AT_ONCE = 1e-9  # left of a difference after a period, by a regulator without lag
+
+
+@dataclass(frozen=True, eq=False)
+class RegulatorFindings:
+    """Regulators and pressure monitors that differ from the robot file.
+
+    Attributes:
+        quicker: declared time constants over those found, filling and exhausting, (2, actuators); 1 where they are not known well.
+        noise: of monitors that are too noisy to be believed, 0 elsewhere, (actuators,) in Pa.
+        common: declared time constants over those of regulators without monitors, as near to 1 as the doubt about them allows.
+    """
+
+    quicker: np.ndarray
+    noise: np.ndarray
+    common: float
 
 
 class RegulatorLags:
@@ -47,7 +63,7 @@ class RegulatorLags:
         noise: of the monitors, 1 sigma, from the mean absolute difference of successive readings beside what commands alone lead to (moving
             range; Montgomery, Introduction to Statistical Quality Control, 2009, section 6.4), (actuators,) in Pa.
         factor: on the declared time constants of regulators without a monitor that is believed.
-        lead_factor: the same for the lead over these lags.
+        lead_factor, feedback_factor: the same for the lead over these lags, of what is known ahead and of feedback.
     """
 
     def __init__(self, devices: Devices, period: float, ranges: np.ndarray, pressure: np.ndarray | float = 0.0) -> None:
@@ -63,7 +79,7 @@ class RegulatorLags:
         self._most = (MISFIT * ranges) ** 2
         self._misfit = 2 * self._most  # mean square
         self._off, self.noise, self._noisy = np.full(count, np.nan), np.zeros(count), NOISY_MONITOR * ranges
-        self.factor = self.lead_factor = 1.0
+        self.factor = self.lead_factor = self.feedback_factor = 1.0
 
     @property
     def noisy(self) -> np.ndarray:
@@ -85,6 +101,11 @@ class RegulatorLags:
         """Time constants by which pressures lead while filling and while exhausting, (2, actuators) in s."""
         return -self.period / np.log1p(-self._shares_with(self.lead_factor))
 
+    @property
+    def feedback_times(self) -> np.ndarray:
+        """Time constants by which feedback leads, likewise."""
+        return -self.period / np.log1p(-self._shares_with(self.feedback_factor))
+
     def _shares_with(self, factor: float) -> np.ndarray:
         fits = (self._misfit < self._most) & (np.abs(self.offset) ** 2 < 36 * self._most)
         monitored = np.where(fits, self.shares, self._declared)
@@ -93,8 +114,14 @@ class RegulatorLags:
     @property
     def quicker(self) -> np.ndarray:
         """Declared time constants over those found, filling and exhausting, (2, actuators); 1 where they are not known well."""
-        known = np.diagonal(self.covariance).T[:2] < KNOWN**2
+        known = (np.diagonal(self.covariance).T[:2] < KNOWN**2) & ~self.unmonitored
         return np.where(known, np.log1p(-self.used) / np.log1p(-self._declared), 1.0)
+
+    @property
+    def findings(self) -> RegulatorFindings:
+        """Differences from the robot file, as diagnostics take them."""
+        common = 1 / self.lead_factor if self.unmonitored.any() else 1.0
+        return RegulatorFindings(self.quicker, np.where(self.noisy, self.noise, 0.0), common)
 
     def lag(self, pressure: np.ndarray, command: np.ndarray, periods: int = 1) -> np.ndarray:
         """Pressures that constant commands lead to after some periods, (actuators,) in Pa each."""

@@ -103,7 +103,7 @@ class PythonStep:
             columns |= self._keep_out.keep_out.columns(step.estimate)
         columns |= {"program": step.outcome.ending.value, "iterations": float(step.iterations), "pressure_moves": float(step.moves)}
         noise, offsets = (state.noise.measured, state.noise.declared), state.actuators.offsets
-        doubts = self._doubts.sentences(self._doubts.lasting, offsets, noise, state.late, state.quicker)
+        doubts = self._doubts.sentences(self._doubts.lasting, offsets, noise, state.late, state.regulators)
         return Telemetry(columns | {"program_seconds": step.seconds[1]}, dict(self.fallbacks), doubts)
 
     def _note(self) -> None:
@@ -112,7 +112,7 @@ class PythonStep:
         if state.taken is not None:
             state.noise.add(state.taken.points)
             self._doubts.count(state.actuators.offsets)
-            state.late, state.quicker = state.sent.late + state.actuators.late, state.actuators.lags.quicker
+            state.late, state.regulators = state.sent.late + state.actuators.late, state.actuators.lags.findings
             state.lag_factor.correct(state.estimator.correction, state.estimator, state.actuators)
             state.taken = None
 
@@ -229,15 +229,16 @@ class PythonStep:
         if settings.use is Use.TENSION:
             return now, np.tile(now, (stages, 1))
         need = horizon.forces[1 : planner.preview + 1] + horizon.dynamic[: planner.preview] + horizon.rest_force
+        fed = np.zeros_like(need)
         if settings.mid_ranging:
             need = need - state.slow
             if state.planned is not None:
                 extra = state.planned - horizon.rest_force - horizon.dynamic[:stages]
                 state.extra = state.extra + (1 - np.exp(-period / planner.feedback_time)) * (extra - state.extra)
                 part = 1.0 if state.pressed else min(1.0, horizon.speed / planner.full_feedback_speed)
-                need[:stages] += part * np.linspace(1, 0, stages)[:, None] * state.extra
-        wanted = (need - state.effects.forces + pulled) / actuators.area
+                fed[:stages] = part * np.linspace(1, 0, stages)[:, None] * state.extra
+        wanted = (need + fed - state.effects.forces + pulled) / actuators.area
         hysteresis, turning = behind
         rises = setup.area * np.diff(np.vstack([wanted[:1], wanted]), axis=0)
         wanted = wanted + hysteresis * dahl_sequence(turning, rises, setup.filter.hysteresis_width) / actuators.area
-        return setup.planner.plan(wanted, now, actuators.pressure, stages, actuators.lags)
+        return setup.planner.plan(wanted, now, actuators.pressure, stages, actuators.lags, fed / actuators.area)

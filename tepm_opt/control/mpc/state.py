@@ -9,8 +9,8 @@ import numpy as np
 
 from tepm_opt.control.actuation.actuators import Actuators, InputEffects
 from tepm_opt.control.actuation.delay_line import CommandDelayLine
-from tepm_opt.control.actuation.lag_factor import FIRST, LEAST_FACTOR, LagFactor
-from tepm_opt.control.actuation.regulator_lags import RegulatorLags
+from tepm_opt.control.actuation.lag_factor import LagFactor
+from tepm_opt.control.actuation.regulator_lags import RegulatorFindings, RegulatorLags
 from tepm_opt.control.diagnostics.sensors import TrackerNoise
 from tepm_opt.control.estimation.kalman_filter import DiscreteModalModel, Estimator
 from tepm_opt.control.mpc.compiled.layout import count_kept_points
@@ -61,7 +61,7 @@ class MpcState:
         plan: tensions of the coming stages, (stages, actuators) in N; None before the first plan.
         planned: deviations of the forces that it leads to, likewise; None while an older plan goes on.
         pressed: whether the arm presses into a margin, so that pressures help at once.
-        quicker: declared time constants of the regulators over those found, (2, actuators), as of the last preparation.
+        regulators: their differences from the robot file, as of the last preparation.
         late: time in s by which commands act later than declared, likewise.
         taken: sample that noise and doubts have not been updated by.
     """
@@ -74,7 +74,7 @@ class MpcState:
     noise: TrackerNoise
     slow: np.ndarray
     extra: np.ndarray
-    quicker: np.ndarray
+    regulators: RegulatorFindings
     late: float = 0.0
     row: int = 0
     plan: np.ndarray | None = None
@@ -87,11 +87,13 @@ class MpcState:
         """The state before the first sample, at an operating point."""
         first, period, settings = setup.first, setup.reference.period, setup.controller
         lags = RegulatorLags(setup.devices, period, setup.planner.limits, first.pressures)
-        lags.factor, lags.lead_factor, count = FIRST, LEAST_FACTOR, len(setup.tension_max)
+        count = len(setup.tension_max)
         estimator = Estimator(operating, setup.noise, settings.mid_range * float(setup.tension_max[0]), setup.filter)
+        factor = LagFactor(count, len(estimator.mean))
+        factor.tell(lags)
         return MpcState(
-            estimator, Actuators(setup.devices, setup.area, first, lags), LagFactor(count, len(estimator.mean)), copy.copy(setup.effects), CommandDelayLine(first, period, setup.ahead),
-            TrackerNoise(setup.noise), np.zeros(count), np.zeros((settings.stages, count)), np.ones((2, count)),
+            estimator, Actuators(setup.devices, setup.area, first, lags), factor, copy.copy(setup.effects), CommandDelayLine(first, period, setup.ahead),
+            TrackerNoise(setup.noise), np.zeros(count), np.zeros((settings.stages, count)), lags.findings,
         )  # fmt: skip
 
 

@@ -38,8 +38,13 @@ static void note(step *o) {
   }
   for (int k = 0; k < 2 * NA; k++) { /* times that are declared over those found */
     double share = share_of(o, a, k % NA, k / NA), declared = k < NA ? s->filling : s->exhausting;
-    int known = a->covariance[k / NA][k / NA][k % NA] < s->lag_known * s->lag_known;
+    int known = a->covariance[k / NA][k / NA][k % NA] < s->lag_known * s->lag_known && !is_unmonitored(o, a, k % NA);
     o->out.quicker[k] = known ? log1p(-share) / log1p(-declared) : 1;
+  }
+  o->out.common[0] = 1;
+  for (int j = 0; j < NA; j++) {
+    o->out.monitor_noise[j] = is_noisy(o, a, j) ? a->noise[j] : 0;
+    if (is_unmonitored(o, a, j)) o->out.common[0] = 1 / a->lead_factor;
   }
   o->out.late[0] = (o->ahead - o->declared) * s->period + lateness(o, a);
   if (o->samples >= NOISE_WINDOW && o->samples % NOISE_EVERY == 0)
@@ -57,6 +62,8 @@ static void note(step *o) {
   o->out.noise[0] = o->measured;
   o->out.doubtful[0] = fabs(o->out.late[0]) > s->late_told || o->measured > s->noisy * s->declared_noise;
   for (int j = 0; j < NA; j++) o->out.doubtful[0] += o->out.lasting_tension[j] > s->stays || o->out.lasting_pressure[j] > s->stays;
+  o->out.doubtful[0] += fabs(log(o->out.common[0])) > s->quicker_told;
+  for (int j = 0; j < NA; j++) o->out.doubtful[0] += o->out.monitor_noise[j] > 0;
   for (int k = 0; k < 2 * NA; k++) o->out.doubtful[0] += fabs(log(o->out.quicker[k])) > s->quicker_told;
 }
 
@@ -136,7 +143,9 @@ static void plan_pressures(step *o, const devices *acted, const double *area, co
   double part = least(1, h->speed / s->full_feedback_speed);
   for (int j = 0; j < NA; j++) {
     double times[2] = {-s->period / log1p(-share_of(o, a, j, 0)), -s->period / log1p(-share_of(o, a, j, 1))};
-    if (is_unmonitored(o, a, j)) for (int k = 0; k < 2; k++) times[k] *= a->lead_factor / a->factor;
+    double fed_times[2] = {times[0], times[1]}, fed[PREVIEW] = {0};
+    if (is_unmonitored(o, a, j))
+      for (int k = 0; k < 2; k++) { fed_times[k] *= a->feedback_factor / a->factor; times[k] *= a->lead_factor / a->factor; }
     double wanted[PREVIEW], lead[PREVIEW - WINDOW], direction = turning[j], before = 0, pressure = acted->pressure[j];
     o->slow[j] += s->slow_share * (mean[FORCE + j] - o->slow[j]);
     for (int k = 0; k < PREVIEW; k++) {
@@ -146,7 +155,8 @@ static void plan_pressures(step *o, const devices *acted, const double *area, co
         if (o->planned_there && k < STAGES) {
           double extra = o->planned[k][j] - rest_force[j] - h->dynamic[k][j];
           o->extra[k][j] += s->feedback_share * (extra - o->extra[k][j]);
-          need += part * (STAGES > 1 ? 1 - k / (double)(STAGES - 1) : 1) * o->extra[k][j];
+          fed[k] = part * (STAGES > 1 ? 1 - k / (double)(STAGES - 1) : 1) * o->extra[k][j];
+          need += fed[k];
         }
       }
       double plain = (need - a->extra[j] + still[k][j] + o->factor[k][j] * s->rest_tension[j]) / area[j];
@@ -156,12 +166,14 @@ static void plan_pressures(step *o, const devices *acted, const double *area, co
     }
     for (int k = 0; k < PREVIEW - WINDOW; k++) {
       double slope = (wanted[k + WINDOW] - wanted[k]) / (WINDOW * PERIODS * s->period);
-      lead[k] = within((wanted[k + WINDOW] + wanted[k]) / 2 + times[!(slope > 0)] * slope, 0, o->set.pressure_max[j]);
+      double fed_slope = (fed[k + WINDOW] - fed[k]) / area[j] / (WINDOW * PERIODS * s->period);
+      double led = times[!(slope > 0)] * slope + (fed_times[!(slope > 0)] - times[!(slope > 0)]) * fed_slope;
+      lead[k] = within((wanted[k + WINDOW] + wanted[k]) / 2 + led, 0, o->set.pressure_max[j]);
     }
     pressures[j] = lead[0];
     if (s->grid > 0) {
       double steps = within(rint(lead[0] / s->grid), 0, floor(s->pressure_max[j] / s->grid * (1 + 1e-12)));
-      double deadband = within(s->deadband * times[!(lead[0] > now[j])] / s->slow_lag, least(s->deadband, 1), s->deadband);
+      double deadband = within(s->deadband * fed_times[!(lead[0] > now[j])] / s->slow_lag, least(s->deadband, 1), s->deadband);
       pressures[j] = fabs(lead[0] - now[j]) > deadband * s->grid ? steps * s->grid : now[j];
     }
     for (int k = 0; k < STAGES; k++) {

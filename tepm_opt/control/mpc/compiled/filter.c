@@ -9,7 +9,9 @@ static void set_factor(const step *o, actuators *a, double factor, double varian
   const settings *s = &o->set;
   a->factor = factor;
   a->factor_variance = variance;
-  a->lead_factor = most(factor - s->factor_caution * sqrt(variance), s->factor_least);
+  double doubt = s->factor_caution * sqrt(variance);
+  a->lead_factor = within(1, factor - doubt, factor + doubt);
+  a->feedback_factor = most(factor - doubt, s->factor_least);
   a->common[0] = 1 - pow(1 - s->filling, 1 / factor);
   a->common[1] = 1 - pow(1 - s->exhausting, 1 / factor);
 }
