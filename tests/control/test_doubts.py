@@ -50,7 +50,7 @@ def test_what_is_believed_has_bounds() -> None:
 def told_now(doubts: SensorDiagnostics, actuators: Actuators, noise: TrackerNoise, late: float) -> Mapping[str, str]:
     """Sentences after one more sample."""
     doubts.count(actuators.offsets)
-    return doubts.sentences(doubts.lasting, actuators.offsets, (noise.measured, noise.declared), late, actuators.lags.quicker)
+    return doubts.sentences(doubts.lasting, actuators.offsets, (noise.measured, noise.declared), late, actuators.lags.findings)
 
 
 def test_a_difference_is_told_once_it_stays() -> None:
@@ -67,7 +67,7 @@ def test_a_difference_is_told_once_it_stays() -> None:
     assert not told_now(doubts, actuators, noise, 0.0)
     assert "20 ms later" in told_now(doubts, actuators, noise, 0.020)["command delay"]
     actuators.lags.shares = 1 - np.exp(-0.01 / np.array([[0.1, 0.1, 0.025], [0.1, 0.1, 0.1]]))
-    actuators.lags.covariance[0, 0, 2], actuators.lags._misfit = 0.01, np.zeros(3)
+    actuators.lags.covariance[0, 0, 2], actuators.lags._misfit, actuators.lags._off = 0.01, np.zeros(3), np.zeros(3)
     assert list(told_now(doubts, actuators, noise, 0.0)) == ["regulator 13"]
     assert "fills 4 and exhausts 1 times as quickly" in told_now(doubts, actuators, noise, 0.0)["regulator 13"]
     assert "15 ms sooner" in told_now(doubts, actuators, noise, -0.015)["command delay"]

@@ -76,7 +76,9 @@ class PressurePlanner:
         slope = (wanted[window:] - wanted[:-window]) / (window * PERIODS * lags.period)
         led = np.where(slope > 0, *lags.times) * slope
         if fed is not None:
-            led += np.where(slope > 0, *(lags.feedback_times - lags.times)) * (fed[window:] - fed[:-window]) / (window * PERIODS * lags.period)
+            led += (
+                np.where(slope > 0, *(lags.feedback_times - lags.times)) * (fed[window:] - fed[:-window]) / (window * PERIODS * lags.period)
+            )
         lead = np.minimum(np.maximum((wanted[window:] + wanted[:-window]) / 2 + led, 0.0), self.limits)
         new = self._round_moves(lead[0], command, lags)
         reached = np.empty((stages, len(command)))

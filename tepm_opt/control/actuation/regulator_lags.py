@@ -4,7 +4,7 @@ A regulator brings its pressure nearer to the command by a share of what is miss
 while it exhausts. The logarithms of both, and what the monitor reads too much, are found by an extended Kalman filter on the pressures
 that commands alone lead to (Ljung, System Identification, 2nd ed., 1999, section 11.4). It begins with the robot file's lags and a doubt
 about them. The file's lags stay where readings do not fit what was learned: a monitor that lies must not throw the arm. Without a monitor,
-or with one that is noisy, they are multiplied by a factor that others may find (see `lag_factor`).
+or with one that is noisy, they are multiplied by a factor that others may find (see `mpc.lag_factor`).
 """
 
 from __future__ import annotations

@@ -9,12 +9,12 @@ import numpy as np
 
 from tepm_opt.control.actuation.actuators import Actuators, InputEffects
 from tepm_opt.control.actuation.delay_line import CommandDelayLine
-from tepm_opt.control.actuation.lag_factor import LagFactor
 from tepm_opt.control.actuation.regulator_lags import RegulatorFindings, RegulatorLags
 from tepm_opt.control.diagnostics.sensors import TrackerNoise
 from tepm_opt.control.estimation.kalman_filter import DiscreteModalModel, Estimator
 from tepm_opt.control.mpc.compiled.layout import count_kept_points
 from tepm_opt.control.mpc.compiled.setup import StepSetup
+from tepm_opt.control.mpc.lag_factor import LagFactor
 from tepm_opt.hw.rig import Sample
 from tepm_opt.solvers.modal_model import ModalModel, modal_model
 
@@ -92,8 +92,9 @@ class MpcState:
         factor = LagFactor(count, len(estimator.mean))
         factor.tell(lags)
         return MpcState(
-            estimator, Actuators(setup.devices, setup.area, first, lags), factor, copy.copy(setup.effects), CommandDelayLine(first, period, setup.ahead),
-            TrackerNoise(setup.noise), np.zeros(count), np.zeros((settings.stages, count)), lags.findings,
+            estimator, Actuators(setup.devices, setup.area, first, lags), factor, copy.copy(setup.effects),
+            CommandDelayLine(first, period, setup.ahead), TrackerNoise(setup.noise), np.zeros(count), np.zeros((settings.stages, count)),
+            lags.findings,
         )  # fmt: skip
 
 

@@ -78,7 +78,21 @@ class Sizes:
         """Lengths of what a step leaves, in the order of the structure `outcome`."""
         each = ("pressures", "tensions", "against", "direction", "turning", "deviation", "pressure_offset", "tension_offset")
         each += ("lasting_pressure", "lasting_tension", "monitor_noise")
-        single = ("row", "status", "iterations", "moves", "nis", "seen", "late", "ahead", "noise", "doubtful", "seconds", "refusals", "common")
+        single = (
+            "row",
+            "status",
+            "iterations",
+            "moves",
+            "nis",
+            "seen",
+            "late",
+            "ahead",
+            "noise",
+            "doubtful",
+            "seconds",
+            "refusals",
+            "common",
+        )
         sizes = dict.fromkeys(each, self.actuators) | dict.fromkeys(single, 1)
         more = {
             "quicker": 2 * self.actuators,

@@ -12,16 +12,6 @@ import numpy as np
 from scipy.special import chdtri
 
 from tepm_opt.control.actuation.actuators import BELIEF, EXPLAINED, FARTHEST, LASTING, TELLING, WHOLE, InputEffects
-from tepm_opt.control.actuation.lag_factor import (
-    CAUTION,
-    COLOURED,
-    FACTOR_DRIFT,
-    FACTOR_STD,
-    FIRST,
-    LEAST_FACTOR,
-    MOST_FACTOR,
-    MOST_MOVE,
-)
 from tepm_opt.control.actuation.pressure_planner import PERIODS, PressurePlanner
 from tepm_opt.control.actuation.regulator_lags import (
     AT_ONCE,
@@ -41,6 +31,16 @@ from tepm_opt.control.actuation.regulator_lags import (
 from tepm_opt.control.diagnostics.sensors import LARGEST, LATE, NOISY, OFF, QUICKER, SLOWEST, STAYS
 from tepm_opt.control.estimation.kalman_filter import FilterSettings
 from tepm_opt.control.mpc.compiled.layout import Sizes
+from tepm_opt.control.mpc.lag_factor import (
+    CAUTION,
+    COLOURED,
+    FACTOR_DRIFT,
+    FACTOR_STD,
+    FIRST,
+    LEAST_FACTOR,
+    MOST_FACTOR,
+    MOST_MOVE,
+)
 from tepm_opt.control.mpc.prediction import NOTHING, RIDGE
 from tepm_opt.control.mpc.settings import MpcSettings, Use
 from tepm_opt.control.references.path_following import PathFollowingReference

@@ -57,8 +57,8 @@ class LagFactor:
         lags.feedback_factor = max(self.value - doubt, LEAST_FACTOR)
 
     def advance(self, actuators: Actuators) -> np.ndarray:
-        """Carry the pressures' slopes a period on, before the actuators are; slopes of the axial forces at its start and end, (2, actuators)
-        in N."""
+        """Carry the pressures' slopes a period on, before the actuators are; slopes of the axial forces at its start and end in N,
+        (2, actuators)."""
         lags, start = actuators.lags, self._by_pressure
         missing = actuators.command.pressures - actuators.pressure
         left = 1 - np.where(missing > 0, *lags.used)
