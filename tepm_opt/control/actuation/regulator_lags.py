@@ -109,7 +109,7 @@ class RegulatorLags:
     def _shares_with(self, factor: float) -> np.ndarray:
         fits = (self._misfit < self._most) & (np.abs(self.offset) ** 2 < 36 * self._most)
         monitored = np.where(fits, self.shares, self._declared)
-        return np.where(self.unmonitored, 1 - (1 - self._declared) ** (1 / factor), monitored)
+        return np.where(self.unmonitored, np.minimum(1 - (1 - self._declared) ** (1 / factor), 1 - AT_ONCE), monitored)
 
     @property
     def quicker(self) -> np.ndarray:

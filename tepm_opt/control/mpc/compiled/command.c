@@ -145,7 +145,10 @@ static void plan_pressures(step *o, const devices *acted, const double *area, co
     double times[2] = {-s->period / log1p(-share_of(o, a, j, 0)), -s->period / log1p(-share_of(o, a, j, 1))};
     double fed_times[2] = {times[0], times[1]}, fed[PREVIEW] = {0};
     if (is_unmonitored(o, a, j))
-      for (int k = 0; k < 2; k++) { fed_times[k] *= a->feedback_factor / a->factor; times[k] *= a->lead_factor / a->factor; }
+      for (int k = 0; k < 2; k++) {
+        times[k] = -s->period / log1p(-a->common[1][k]);
+        fed_times[k] = -s->period / log1p(-a->common[2][k]);
+      }
     double wanted[PREVIEW], lead[PREVIEW - WINDOW], direction = turning[j], before = 0, pressure = acted->pressure[j];
     o->slow[j] += s->slow_share * (mean[FORCE + j] - o->slow[j]);
     for (int k = 0; k < PREVIEW; k++) {

@@ -11,16 +11,16 @@ static void set_factor(const step *o, actuators *a, double factor, double varian
   a->factor_variance = variance;
   double doubt = s->factor_caution * sqrt(variance);
   a->lead_factor = within(1, factor - doubt, factor + doubt);
-  a->feedback_factor = most(factor - doubt, s->factor_least);
-  a->common[0] = 1 - pow(1 - s->filling, 1 / factor);
-  a->common[1] = 1 - pow(1 - s->exhausting, 1 / factor);
+  double factors[3] = {factor, a->lead_factor, most(factor - doubt, s->factor_least)};
+  for (int k = 0; k < 3; k++)
+    for (int i = 0; i < 2; i++) a->common[k][i] = least(1 - pow(1 - (i ? s->exhausting : s->filling), 1 / factors[k]), 1 - s->at_once);
 }
 
 /* Share of what is missing by which a pressure nears its command in a period: as learned where readings fit, else as declared; with the
    factor where no monitor is believed. */
 static double share_of(const step *o, const actuators *a, int j, int exhausts) {
   const settings *s = &o->set;
-  if (is_unmonitored(o, a, j)) return a->common[exhausts];
+  if (is_unmonitored(o, a, j)) return a->common[0][exhausts];
   double most = s->lag_misfit[j] * s->lag_misfit[j];
   int fits = a->misfit[j] < most && a->offset_path[j] * a->offset_path[j] < 36 * most;
   return fits ? a->share[exhausts][j] : exhausts ? s->exhausting : s->filling;
