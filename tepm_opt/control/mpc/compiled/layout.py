@@ -16,7 +16,7 @@ from tepm_opt.models.backends.interface import GUARDS, MODES, SHARED
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.solvers.modal_model import SWEEPS
 
-FILES = ("state.c", "points.c", "filter.c", "horizon.c", "program.c", "command.c")
+FILES = ("state.c", "points.c", "devices.c", "filter.c", "horizon.c", "program.c", "command.c")
 SYMBOLS = ("step_size", "step_outcome", "step_open", "step_prepare", "step_feedback", "step_point")
 ITERATIONS = 1000  # changes of the active set
 
