@@ -232,7 +232,8 @@ def test_the_same_on_other_robots(robot, compiler):
     samples = [
         Sample(0.01 * k, at + 8e-4 * random.normal(size=at.shape) + 0.02 * (k > 30)) for k, at in enumerate(places)
     ]  # fmt: skip
-    commands = compared(both(model, reference, MpcSettings()), iter(samples))
+    # without monitors the lags' factor is learned, by a factor of the innovations' covariance in C, by a solution in Python
+    commands = compared(both(model, reference, MpcSettings()), iter(samples), close=3 * CLOSE)
     assert np.ptp([command.tensions for command in commands], axis=0).min() > 0.1
 
 
