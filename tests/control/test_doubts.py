@@ -50,7 +50,7 @@ def test_what_is_believed_has_bounds() -> None:
 def told_now(doubts: SensorDiagnostics, actuators: Actuators, noise: TrackerNoise, late: float) -> Mapping[str, str]:
     """Sentences after one more sample."""
     doubts.count(actuators.offsets)
-    return doubts.sentences(doubts.lasting, actuators.offsets, (noise.measured, noise.declared), late, actuators.lags.quicker)
+    return doubts.sentences(doubts.lasting, actuators.offsets, (noise.measured, noise.declared), late, actuators.lags.findings)
 
 
 def test_a_difference_is_told_once_it_stays() -> None:
@@ -67,10 +67,44 @@ def test_a_difference_is_told_once_it_stays() -> None:
     assert not told_now(doubts, actuators, noise, 0.0)
     assert "20 ms later" in told_now(doubts, actuators, noise, 0.020)["command delay"]
     actuators.lags.shares = 1 - np.exp(-0.01 / np.array([[0.1, 0.1, 0.025], [0.1, 0.1, 0.1]]))
-    actuators.lags.covariance[0, 0, 2], actuators.lags._misfit = 0.01, np.zeros(3)
+    actuators.lags.covariance[0, 0, 2], actuators.lags._misfit, actuators.lags._off = 0.01, np.zeros(3), np.zeros(3)
     assert list(told_now(doubts, actuators, noise, 0.0)) == ["regulator 13"]
     assert "fills 4 and exhausts 1 times as quickly" in told_now(doubts, actuators, noise, 0.0)["regulator 13"]
     assert "15 ms sooner" in told_now(doubts, actuators, noise, -0.015)["command delay"]
+
+
+def test_a_noisy_monitor_is_told_and_not_believed() -> None:
+    """20 kPa in one of three within 0.5 s, while commands step by 20 kPa and one regulator has no lag; nothing of the others."""
+    devices, random = Devices(0.1, 0.1, np.inf, 0.0), np.random.default_rng(2)
+    actuators = Actuators(devices, 5e-5, Command.from_inputs(np.full(6, 2e5)), RegulatorLags(devices, 0.01, np.full(3, 5e5), 2e5))
+    doubts, noise, true = SensorDiagnostics(NAMES, (np.full(3, 5e5), np.full(3, 7.0))), TrackerNoise(6e-4), np.full(3, 2e5)
+    told = []
+    for k in range(200):
+        command = 2e5 + 2e4 * (-1.0) ** (k // 10) * np.ones(3)
+        actuators.command = Command.from_inputs(np.concatenate([command, np.zeros(3)]))
+        true = command + (true - command) * np.exp([-0.1, -0.1, -50.0])
+        actuators.advance()
+        readings = true + np.array([2e4, 1e3, 1e3]) * random.normal(size=3)
+        actuators.correct(Sample(0.01 * k, np.zeros((4, 3)), readings, np.zeros(3)), 0.01)
+        told.append(told_now(doubts, actuators, noise, 0.0))
+    assert list(told[50]) == ["noise of monitor 11"]
+    assert all("noise of monitor 12" not in each and "noise of monitor 13" not in each for each in told)
+    assert actuators.lags.noise[0] == pytest.approx(2e4, rel=0.3)
+    assert actuators.lags.unmonitored.tolist() == [True, False, False]
+
+
+def test_quick_regulators_without_monitors_are_told() -> None:
+    """Once the doubt about them leaves no other way."""
+    devices = Devices(0.1, 0.1, np.inf, 0.0)
+    lags = RegulatorLags(devices, 0.01, np.full(3, 5e5))
+    actuators = Actuators(devices, 5e-5, Command.from_inputs(np.zeros(6)), lags)
+    doubts, noise = SensorDiagnostics(NAMES, (np.full(3, 5e5), np.full(3, 7.0))), TrackerNoise(6e-4)
+    lags.lead_factor = 0.6
+    assert not told_now(doubts, actuators, noise, 0.0)
+    lags.lead_factor = 0.25
+    assert "act 4 times as quickly" in told_now(doubts, actuators, noise, 0.0)["regulators"]
+    lags.correct(np.zeros(3), 0.01)
+    assert not told_now(doubts, actuators, noise, 0.0)
 
 
 def driven(kang: CompiledModel, short: Reference, file: RigFile) -> LoopRecord:
@@ -112,6 +146,41 @@ def test_regulators_quicker_than_the_file_says_are_learned_and_told(
     done = driven(kang, short, file.model_copy(update={"imperfections": file.imperfections.model_copy(update={"regulator_lag": quick})}))
     assert done.error() < 1.5 * followed.error() + 2e-4
     assert any(about.startswith("regulator") for about in done.telemetry[-1].doubts)
+
+
+def with_monitors(file: RigFile, **values: object) -> RigFile:
+    """A rig with other pressure monitors."""
+    return file.model_copy(update={"pressure_monitor": file.pressure_monitor.model_copy(update=values)})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("part", [0.25, 0.0])
+def test_quick_regulators_without_monitors_keep_to_the_path(
+    kang: CompiledModel, short: Reference, followed: LoopRecord, part: float
+) -> None:
+    """From tracked points alone; with the file's lags they threw the arm off its path, or made it sway."""
+    file = with_monitors(load_rig_file(), fitted=False)
+    lag = file.imperfections.regulator_lag
+    quick = lag.model_copy(update={"fill_s": part * lag.fill_s, "exhaust_s": part * lag.exhaust_s})
+    done = driven(kang, short, file.model_copy(update={"imperfections": file.imperfections.model_copy(update={"regulator_lag": quick})}))
+    assert done.error() < 1.8 * followed.error() + 2e-4
+
+
+@pytest.mark.slow
+def test_the_perfect_rig_keeps_to_the_path(kang: CompiledModel, short: Reference) -> None:
+    """Without monitors and lags; the file's lags stopped the loop. Where the path ends at full speed, the arm jerks."""
+    done = driven(kang, short, load_rig_file("perfect"))
+    assert done.outcome.solved
+    assert np.linalg.norm(np.array(done.truth) - done.targets, axis=1)[300:430].max() < 2e-3
+
+
+@pytest.mark.slow
+def test_noisy_monitors_harm_nothing_and_are_told(kang: CompiledModel, short: Reference, followed: LoopRecord) -> None:
+    """20 kPa in all: within three seconds, and the arm goes as without them."""
+    done = driven(kang, short, with_monitors(load_rig_file(), noise_rms_Pa=2e4))
+    assert done.error() < 1.3 * followed.error() + 2e-4
+    told = [at for at, row in zip(done.time, done.telemetry, strict=True) if sum(about.startswith("noise") for about in row.doubts) == 6]
+    assert told[0] < 3.0
 
 
 @pytest.mark.slow

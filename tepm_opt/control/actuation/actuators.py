@@ -72,6 +72,11 @@ class Actuators:
         self._rate = (self._told[1] - told[1]) / period
         return np.array([before, self.forces])
 
+    def shift_pressures(self, by: np.ndarray) -> None:
+        """Shift pressures by what another lag makes of them, (actuators,) in Pa; never below zero."""
+        pressure, tension = self._told
+        self.pressure, self._told = np.maximum(self.pressure + by, 0.0), (np.maximum(pressure + by, 0.0), tension)
+
     def _predict_one_period(self, pressure: np.ndarray, tension: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         command, most = self.command, self.devices.tension_rate * self.lags.period
         wound = tension + np.minimum(np.maximum(command.tensions - tension, -most), most)
@@ -92,7 +97,8 @@ class Actuators:
             self._late = (1 - share) * self._late - passed * float(missed[there] @ self._rate[there])
             self._weight = (1 - share) * self._weight + passed * float(self._rate[there] @ self._rate[there])
             self._spread = (1 - share) * self._spread + passed * float(missed[there] @ missed[there])
-        self.pressure = _blend_with_measured(self.pressure, sample.pressures, self.pressure_offset)
+        blended = _blend_with_measured(self.pressure, sample.pressures, self.pressure_offset)
+        self.pressure = np.where(self.lags.noisy, self.pressure, blended)
         corrected = _blend_with_measured(self.tension, sample.tensions, self.tension_offset)
         self.tension = np.where(np.abs(self.tension_offset) > FARTHEST, self.tension, corrected)
 

@@ -3,13 +3,14 @@
 A regulator brings its pressure nearer to the command by a share of what is missing in every period, one share while it fills and one
 while it exhausts. The logarithms of both, and what the monitor reads too much, are found by an extended Kalman filter on the pressures
 that commands alone lead to (Ljung, System Identification, 2nd ed., 1999, section 11.4). It begins with the robot file's lags and a doubt
-about them. The file's lags stay without monitors, and where readings do not fit what was learned: a monitor that lies must not throw the
-arm.
+about them. The file's lags stay where readings do not fit what was learned: a monitor that lies must not throw the arm. Without a monitor,
+or with one that is noisy, they are multiplied by a factor that others may find (see `mpc.lag_factor`).
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,7 +25,24 @@ MISFIT = 0.004  # of the pressure range: root mean square of readings beside wha
 FORGOTTEN = 0.5  # s over which that is averaged
 OFFSET = 0.03  # of the pressure range: 1 sigma of what a monitor reads too much
 KNOWN = 0.25  # 1 sigma of the logarithm up to which a lag counts as known
+NOISY_MONITOR = 0.008  # of the pressure range: noise of a monitor, 1 sigma, beyond which it is not believed
+MOVING_RANGE = 2 / math.sqrt(math.pi)  # mean absolute difference of two readings with noise of 1 sigma each
 AT_ONCE = 1e-9  # left of a difference after a period, by a regulator without lag
+
+
+@dataclass(frozen=True, eq=False)
+class RegulatorFindings:
+    """Regulators and pressure monitors that differ from the robot file.
+
+    Attributes:
+        quicker: declared time constants over those found, filling and exhausting, (2, actuators); 1 where they are not known well.
+        noise: of monitors that are too noisy to be believed, 0 elsewhere, (actuators,) in Pa.
+        common: declared time constants over those of regulators without monitors, as near to 1 as the doubt about them allows.
+    """
+
+    quicker: np.ndarray
+    noise: np.ndarray
+    common: float
 
 
 class RegulatorLags:
@@ -42,6 +60,10 @@ class RegulatorLags:
         shares: while filling and while exhausting as learned, (2, actuators).
         offset: of the monitors, (actuators,) in Pa.
         covariance: of the logarithms of the shares and of the offset, (3, 3, actuators).
+        noise: of the monitors, 1 sigma, from the mean absolute difference of successive readings beside what commands alone lead to (moving
+            range; Montgomery, Introduction to Statistical Quality Control, 2009, section 6.4), (actuators,) in Pa.
+        factor: on the declared time constants of regulators without a monitor that is believed.
+        lead_factor, feedback_factor: the same for the lead over these lags, of what is known ahead and of feedback.
     """
 
     def __init__(self, devices: Devices, period: float, ranges: np.ndarray, pressure: np.ndarray | float = 0.0) -> None:
@@ -56,22 +78,50 @@ class RegulatorLags:
         self._path = np.zeros(count) + pressure  # by commands alone, with the lags as learned
         self._most = (MISFIT * ranges) ** 2
         self._misfit = 2 * self._most  # mean square
+        self._off, self.noise, self._noisy = np.full(count, np.nan), np.zeros(count), NOISY_MONITOR * ranges
+        self.factor = self.lead_factor = self.feedback_factor = 1.0
+
+    @property
+    def noisy(self) -> np.ndarray:
+        """Whether a monitor is too noisy to be believed, (actuators,) of bool."""
+        return self.noise > self._noisy
+
+    @property
+    def unmonitored(self) -> np.ndarray:
+        """Whether a regulator has no monitor that has read anything, or a noisy one, (actuators,) of bool."""
+        return np.isnan(self._off) | self.noisy
 
     @property
     def used(self) -> np.ndarray:
-        """Shares that are reckoned with, (2, actuators): as learned where readings fit, else as declared."""
-        return np.where((self._misfit < self._most) & (np.abs(self.offset) ** 2 < 36 * self._most), self.shares, self._declared)
+        """Shares that are reckoned with, (2, actuators): as learned where readings fit, else as declared; with the factor unmonitored."""
+        return self._shares_with(self.factor)
 
     @property
     def times(self) -> np.ndarray:
-        """Time constants while filling and while exhausting, (2, actuators) in s."""
-        return -self.period / np.log1p(-self.used)
+        """Time constants by which pressures lead while filling and while exhausting, (2, actuators) in s."""
+        return -self.period / np.log1p(-self._shares_with(self.lead_factor))
+
+    @property
+    def feedback_times(self) -> np.ndarray:
+        """Time constants by which feedback leads, likewise."""
+        return -self.period / np.log1p(-self._shares_with(self.feedback_factor))
+
+    def _shares_with(self, factor: float) -> np.ndarray:
+        fits = (self._misfit < self._most) & (np.abs(self.offset) ** 2 < 36 * self._most)
+        monitored = np.where(fits, self.shares, self._declared)
+        return np.where(self.unmonitored, np.minimum(1 - (1 - self._declared) ** (1 / factor), 1 - AT_ONCE), monitored)
 
     @property
     def quicker(self) -> np.ndarray:
         """Declared time constants over those found, filling and exhausting, (2, actuators); 1 where they are not known well."""
-        known = np.diagonal(self.covariance).T[:2] < KNOWN**2
+        known = (np.diagonal(self.covariance).T[:2] < KNOWN**2) & ~self.unmonitored
         return np.where(known, np.log1p(-self.used) / np.log1p(-self._declared), 1.0)
+
+    @property
+    def findings(self) -> RegulatorFindings:
+        """Differences from the robot file, as diagnostics take them."""
+        common = 1 / self.lead_factor if self.unmonitored.any() else 1.0
+        return RegulatorFindings(self.quicker, np.where(self.noisy, self.noise, 0.0), common)
 
     def lag(self, pressure: np.ndarray, command: np.ndarray, periods: int = 1) -> np.ndarray:
         """Pressures that constant commands lead to after some periods, (actuators,) in Pa each."""
@@ -93,6 +143,10 @@ class RegulatorLags:
         seen = np.einsum("ijn,jn->in", covariance, self._slope)
         off = np.where(measured, readings - self._path - self.offset, 0.0)
         gain = measured * seen / (self._noise + np.einsum("in,in->n", self._slope, seen))
+        new = np.abs(off - self._off)
+        again = measured & np.isfinite(new)
+        self.noise = self.noise + (1 - math.exp(-passed / FORGOTTEN)) * np.where(again, new / MOVING_RANGE - self.noise, 0.0)
+        self._off = np.where(measured, off, self._off)
         self.covariance = covariance - gain[:, None] * seen[None]
         self._misfit = self._misfit + measured * (1 - math.exp(-passed / FORGOTTEN)) * (off**2 - self._misfit)
         moved = gain * off

@@ -8,6 +8,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from tepm_opt.control.actuation.regulator_lags import RegulatorFindings
+
 WINDOW = 100  # samples over which the tracker's noise is taken
 EVERY = 20  # samples between looks at it
 NOISY = 1.6  # times the noise declared, that is told
@@ -71,7 +73,7 @@ class SensorDiagnostics:
 
     def sentences(
         self, lasting: Mapping[str, np.ndarray], offsets: Mapping[str, np.ndarray], noise: tuple[float, float], late: float,
-        quicker: np.ndarray,
+        regulators: RegulatorFindings,
     ) -> Mapping[str, str]:  # fmt: skip
         """Warnings that hold now, one sentence each, by their subject.
 
@@ -80,7 +82,7 @@ class SensorDiagnostics:
             offsets: what gauges read above what devices do, (actuators,) each in Pa and N.
             noise: of a tracked coordinate in m, as measured and as declared.
             late: by how much in s commands act later than the robot file says.
-            quicker: declared time constants of the regulators over those found, filling and exhausting, (2, actuators).
+            regulators: differences of regulators and their monitors from the robot file.
         """
         found: dict[str, str] = {}
         for kind, gauge, device, unit, scale in (
@@ -95,11 +97,22 @@ class SensorDiagnostics:
                     f"{gauge} {name} reads {size:g} {unit} {way}, or {device} {name} gives that much {other} than it is told: "
                     "its readings and its commands do not say which"
                 )
+        for k in np.flatnonzero(regulators.noise).tolist():
+            name, size = self._names[k], float(f"{1e-3 * regulators.noise[k]:.2g}")
+            found[f"noise of monitor {name}"] = (
+                f"pressure monitor {name} has {size:g} kPa of noise, too much to be believed; the controller goes by the commands"
+            )
+        quicker = regulators.quicker
         for k in np.flatnonzero((np.abs(np.log(quicker)) > np.log(QUICKER)).any(axis=0)).tolist():
             fills, exhausts = quicker[:, k].tolist()
             found[f"regulator {self._names[k]}"] = (
                 f"regulator {self._names[k]} fills {fills:.2g} and exhausts {exhausts:.2g} times as quickly as the robot file says; "
                 "the controller goes by its pressure monitor"
+            )
+        if abs(np.log(regulators.common)) > np.log(QUICKER):
+            found["regulators"] = (
+                f"regulators without a pressure monitor act {regulators.common:.2g} times as quickly as the robot file says, or even more; "
+                "the controller goes by the tracked points"
             )
         if abs(late) > LATE:
             way = "later" if late > 0 else "sooner"

@@ -215,6 +215,23 @@ class Transition:
     kick: np.ndarray
 
 
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """Correction of the state by a sample's points that were taken.
+
+    Attributes:
+        observe: (coordinates, states).
+        covariance: of the innovation, (coordinates, coordinates).
+        gain: (states, coordinates).
+        innovation: (coordinates,) in m.
+    """
+
+    observe: np.ndarray
+    covariance: np.ndarray
+    gain: np.ndarray
+    innovation: np.ndarray
+
+
 class Estimator:
     """The filter; `predict` and `update` in turns.
 
@@ -226,6 +243,7 @@ class Estimator:
 
     Attributes:
         mean, covariance: of the state.
+        correction: by the last sample; None before the first one and where no point of it was taken.
     """
 
     def __init__(self, operating: DiscreteModalModel, noise: float, middle: float, settings: FilterSettings = DEFAULT) -> None:
@@ -248,6 +266,7 @@ class Estimator:
         self._tension: np.ndarray | None = None  # at the last prediction
         self._outlying = np.zeros(outputs // 3, dtype=int)
         self._nis, self._seen = np.nan, 0
+        self.correction: Correction | None = None
 
     def predict(self, forces: np.ndarray, tension: np.ndarray, rates: np.ndarray, then: DiscreteModalModel) -> Transition:
         """Advance the estimate by one period; returns the transition of the state that it used.
@@ -337,7 +356,7 @@ class Estimator:
         there = np.asarray(np.isfinite(points).all(axis=1))
         good: np.ndarray = there & ~self._outliers(innovation, S, there)
         rows = np.repeat(good, 3)
-        self._nis, self._seen = np.nan, int(rows.sum())
+        self._nis, self._seen, self.correction = np.nan, int(rows.sum()), None
         if rows.any():
             self._tip_missing = 0 if good[-1] else self._tip_missing + 1
             C, S, innovation = C[rows], S[np.ix_(rows, rows)], innovation[rows]
@@ -345,6 +364,7 @@ class Estimator:
             gain = (self.covariance @ C.T) @ inverse
             self._nis = float(innovation @ inverse @ innovation)
             self.mean = self.mean + gain @ innovation
+            self.correction = Correction(C, S, gain, innovation)
             left = -gain @ C
             left[np.diag_indices(len(left))] += 1
             self.covariance = left @ self.covariance @ left.T + self.noise**2 * (gain @ gain.T)  # Joseph's form

@@ -83,7 +83,7 @@ class PythonStep:
             ready = self._prepare(row)
         self._ready, state.taken = None, sample
         passed, state.row = row - state.row, row
-        state.estimator, state.actuators = ready.estimator, ready.actuators
+        state.estimator, state.actuators, state.lag_factor = ready.estimator, ready.actuators, ready.lag_factor
         state.actuators.correct(sample, passed * self._setup.reference.period)
         state.effects.advance(state.actuators, self._setup.reference.period)
         estimate = state.estimator.update(sample.points)
@@ -103,30 +103,33 @@ class PythonStep:
             columns |= self._keep_out.keep_out.columns(step.estimate)
         columns |= {"program": step.outcome.ending.value, "iterations": float(step.iterations), "pressure_moves": float(step.moves)}
         noise, offsets = (state.noise.measured, state.noise.declared), state.actuators.offsets
-        doubts = self._doubts.sentences(self._doubts.lasting, offsets, noise, state.late, state.quicker)
+        doubts = self._doubts.sentences(self._doubts.lasting, offsets, noise, state.late, state.regulators)
         return Telemetry(columns | {"program_seconds": step.seconds[1]}, dict(self.fallbacks), doubts)
 
     def _note(self) -> None:
-        """Update noise of the tracker and doubts by the last sample."""
+        """Update noise of the tracker, doubts and the lags' factor by the last sample."""
         state = self._state
         if state.taken is not None:
             state.noise.add(state.taken.points)
             self._doubts.count(state.actuators.offsets)
-            state.late, state.quicker = state.sent.late + state.actuators.late, state.actuators.lags.quicker
+            state.late, state.regulators = state.sent.late + state.actuators.late, state.actuators.lags.findings
+            state.lag_factor.correct(state.estimator.correction, state.estimator, state.actuators)
             state.taken = None
 
     def _prepare(self, row: int) -> Prepared:
         """The preparation for a sample at a row of the reference."""
         self._note()
         state, reference, settings = self._state, self._setup.reference, self._setup.filter
-        estimator, actuators = copy.copy(state.estimator), state.actuators.copy()
+        estimator, actuators, lag_factor = copy.copy(state.estimator), state.actuators.copy(), copy.copy(state.lag_factor)
         estimator.noise = state.noise.measured
         for passed in range(state.row, row):
             actuators.command = state.sent.command_at(passed)
+            slopes = lag_factor.advance(actuators)
             known = actuators.advance() + state.effects.forces
             a, b = reference.rows_at(np.array([passed, passed + 1]))
             rates = (reference.lengths[b] - reference.lengths[a]) / reference.period
-            estimator.predict(known, actuators.tension, rates, self._points.find(passed + 1))
+            now, later = estimator.operating, self._points.find(passed + 1)
+            lag_factor.predict(slopes, estimator.predict(known, actuators.tension, rates, later).A, now, later)
         then, seen, directions = self._points.find(row + self.ahead), estimator.estimate(np.zeros(0)), [estimator.direction]
         for at in range(row, row + self.ahead):
             a, b = reference.rows_at(np.array([at, at + 1]))
@@ -139,7 +142,7 @@ class PythonStep:
         factor = 1 + settings.load_share / estimator.middle * foreseen
         self._forecast.horizon.is_blind = estimator.is_blind
         self._program.prepare(self._forecast.prepare(then, reference, rows), factor[:stages])
-        return Prepared(row, self.ahead, rows, estimator, actuators, then, np.array(directions[1:]), courses, foreseen, factor)
+        return Prepared(row, self.ahead, rows, estimator, actuators, lag_factor, then, np.array(directions[1:]), courses, foreseen, factor)
 
     def _look_ahead(self, ready: Prepared, estimate: StateEstimate) -> Ahead:
         """From the sample's time to when a new command can act, under the commands that are on their way."""
@@ -226,15 +229,16 @@ class PythonStep:
         if settings.use is Use.TENSION:
             return now, np.tile(now, (stages, 1))
         need = horizon.forces[1 : planner.preview + 1] + horizon.dynamic[: planner.preview] + horizon.rest_force
+        fed = np.zeros_like(need)
         if settings.mid_ranging:
             need = need - state.slow
             if state.planned is not None:
                 extra = state.planned - horizon.rest_force - horizon.dynamic[:stages]
                 state.extra = state.extra + (1 - np.exp(-period / planner.feedback_time)) * (extra - state.extra)
                 part = 1.0 if state.pressed else min(1.0, horizon.speed / planner.full_feedback_speed)
-                need[:stages] += part * np.linspace(1, 0, stages)[:, None] * state.extra
-        wanted = (need - state.effects.forces + pulled) / actuators.area
+                fed[:stages] = part * np.linspace(1, 0, stages)[:, None] * state.extra
+        wanted = (need + fed - state.effects.forces + pulled) / actuators.area
         hysteresis, turning = behind
         rises = setup.area * np.diff(np.vstack([wanted[:1], wanted]), axis=0)
         wanted = wanted + hysteresis * dahl_sequence(turning, rises, setup.filter.hysteresis_width) / actuators.area
-        return setup.planner.plan(wanted, now, actuators.pressure, stages, actuators.lags)
+        return setup.planner.plan(wanted, now, actuators.pressure, stages, actuators.lags, fed / actuators.area)

@@ -9,11 +9,12 @@ import numpy as np
 
 from tepm_opt.control.actuation.actuators import Actuators, InputEffects
 from tepm_opt.control.actuation.delay_line import CommandDelayLine
-from tepm_opt.control.actuation.regulator_lags import RegulatorLags
+from tepm_opt.control.actuation.regulator_lags import RegulatorFindings, RegulatorLags
 from tepm_opt.control.diagnostics.sensors import TrackerNoise
 from tepm_opt.control.estimation.kalman_filter import DiscreteModalModel, Estimator
 from tepm_opt.control.mpc.compiled.layout import count_kept_points
 from tepm_opt.control.mpc.compiled.setup import StepSetup
+from tepm_opt.control.mpc.lag_factor import LagFactor
 from tepm_opt.hw.rig import Sample
 from tepm_opt.solvers.linear.modal_model import ModalModel, modal_model
 
@@ -50,6 +51,7 @@ class MpcState:
 
     Attributes:
         estimator, actuators: at the last sample.
+        lag_factor: of regulators without monitors, likewise.
         effects: of the model on its inputs, likewise.
         sent: commands on their way.
         noise: of the tracker.
@@ -59,19 +61,20 @@ class MpcState:
         plan: tensions of the coming stages, (stages, actuators) in N; None before the first plan.
         planned: deviations of the forces that it leads to, likewise; None while an older plan goes on.
         pressed: whether the arm presses into a margin, so that pressures help at once.
-        quicker: declared time constants of the regulators over those found, (2, actuators), as of the last preparation.
+        regulators: their differences from the robot file, as of the last preparation.
         late: time in s by which commands act later than declared, likewise.
         taken: sample that noise and doubts have not been updated by.
     """
 
     estimator: Estimator
     actuators: Actuators
+    lag_factor: LagFactor
     effects: InputEffects
     sent: CommandDelayLine
     noise: TrackerNoise
     slow: np.ndarray
     extra: np.ndarray
-    quicker: np.ndarray
+    regulators: RegulatorFindings
     late: float = 0.0
     row: int = 0
     plan: np.ndarray | None = None
@@ -85,10 +88,13 @@ class MpcState:
         first, period, settings = setup.first, setup.reference.period, setup.controller
         lags = RegulatorLags(setup.devices, period, setup.planner.limits, first.pressures)
         count = len(setup.tension_max)
+        estimator = Estimator(operating, setup.noise, settings.mid_range * float(setup.tension_max[0]), setup.filter)
+        factor = LagFactor(count, len(estimator.mean))
+        factor.tell(lags)
         return MpcState(
-            Estimator(operating, setup.noise, settings.mid_range * float(setup.tension_max[0]), setup.filter),
-            Actuators(setup.devices, setup.area, first, lags), copy.copy(setup.effects), CommandDelayLine(first, period, setup.ahead),
-            TrackerNoise(setup.noise), np.zeros(count), np.zeros((settings.stages, count)), np.ones((2, count)),
+            estimator, Actuators(setup.devices, setup.area, first, lags), factor, copy.copy(setup.effects),
+            CommandDelayLine(first, period, setup.ahead), TrackerNoise(setup.noise), np.zeros(count), np.zeros((settings.stages, count)),
+            lags.findings,
         )  # fmt: skip
 
 
@@ -100,7 +106,7 @@ class Prepared:
         row: of the reference, at which the sample is expected; `ahead` periods later a new command can act.
         ahead: as of then.
         rows: of the reference at stages −1, 0, 1, …, (preview + 3,).
-        estimator, actuators: brought up to the sample's time.
+        estimator, actuators, lag_factor: brought up to the sample's time.
         then: operating point when a new command can act.
         directions: which way friction pulls after each period until then, (ahead, actuators).
         courses: and over the coming stages, (preview, actuators).
@@ -113,6 +119,7 @@ class Prepared:
     rows: np.ndarray
     estimator: Estimator
     actuators: Actuators
+    lag_factor: LagFactor
     then: DiscreteModalModel
     directions: np.ndarray
     courses: np.ndarray

@@ -38,8 +38,13 @@ static void note(step *o) {
   }
   for (int k = 0; k < 2 * NA; k++) { /* times that are declared over those found */
     double share = share_of(o, a, k % NA, k / NA), declared = k < NA ? s->filling : s->exhausting;
-    int known = a->covariance[k / NA][k / NA][k % NA] < s->lag_known * s->lag_known;
+    int known = a->covariance[k / NA][k / NA][k % NA] < s->lag_known * s->lag_known && !is_unmonitored(o, a, k % NA);
     o->out.quicker[k] = known ? log1p(-share) / log1p(-declared) : 1;
+  }
+  o->out.common[0] = 1;
+  for (int j = 0; j < NA; j++) {
+    o->out.monitor_noise[j] = is_noisy(o, a, j) ? a->noise[j] : 0;
+    if (is_unmonitored(o, a, j)) o->out.common[0] = 1 / a->lead_factor;
   }
   o->out.late[0] = (o->ahead - o->declared) * s->period + lateness(o, a);
   if (o->samples >= NOISE_WINDOW && o->samples % NOISE_EVERY == 0)
@@ -57,6 +62,8 @@ static void note(step *o) {
   o->out.noise[0] = o->measured;
   o->out.doubtful[0] = fabs(o->out.late[0]) > s->late_told || o->measured > s->noisy * s->declared_noise;
   for (int j = 0; j < NA; j++) o->out.doubtful[0] += o->out.lasting_tension[j] > s->stays || o->out.lasting_pressure[j] > s->stays;
+  o->out.doubtful[0] += fabs(log(o->out.common[0])) > s->quicker_told;
+  for (int j = 0; j < NA; j++) o->out.doubtful[0] += o->out.monitor_noise[j] > 0;
   for (int k = 0; k < 2 * NA; k++) o->out.doubtful[0] += fabs(log(o->out.quicker[k])) > s->quicker_told;
 }
 
@@ -66,11 +73,11 @@ static int prepare(step *o, long row) {
   actuators *a = &o->acts[!o->now];
   const settings *s = &o->set;
   const course *c = &o->way;
-  double area[NA], forces[2][NA], rates[NA], direction[NA];
+  double area[NA], forces[2][NA], slopes[2][NA], rates[NA], direction[NA];
   o->ready = 0;
   note(o);
   if (row > o->row + 2 && o->beyond.at) { o->last = *o->beyond.at; o->beyond.at = &o->last; } /* its place may be taken */
-  if (o->corrected) { settle(&o->filters[o->now], &o->to_do); o->corrected = 0; }
+  if (o->corrected) { settle(o, &o->filters[o->now], &o->acts[o->now], &o->to_do); o->corrected = 0; }
   *f = o->filters[o->now];
   *a = o->acts[o->now];
   f->noise = o->measured;
@@ -78,6 +85,9 @@ static int prepare(step *o, long row) {
   for (long passed = o->row; passed < row; passed++) {
     const devices *command = acting(o, passed);
     devices was = a->told;
+    for (int j = 0; j < NA; j++) slopes[0][j] = s->area * a->by_factor[j];
+    slope_by_factor(o, a, command);
+    for (int j = 0; j < NA; j++) slopes[1][j] = s->area * a->by_factor[j];
     advance(o, a, &a->now, command, area, forces);
     slope(a, command);
     advance(o, a, &a->told, command, area, 0);
@@ -91,7 +101,7 @@ static int prepare(step *o, long row) {
     }
     const operating *then = point(o, passed + 1);
     if (!then) return 1;
-    predict(o, f, forces, a->now.tension, rates, then);
+    predict(o, f, forces, slopes, a->now.tension, rates, then);
   }
   if (!f->at && !(f->at = point(o, row))) return 1;
   const operating *then = point(o, row + o->ahead);
@@ -133,6 +143,12 @@ static void plan_pressures(step *o, const devices *acted, const double *area, co
   double part = least(1, h->speed / s->full_feedback_speed);
   for (int j = 0; j < NA; j++) {
     double times[2] = {-s->period / log1p(-share_of(o, a, j, 0)), -s->period / log1p(-share_of(o, a, j, 1))};
+    double fed_times[2] = {times[0], times[1]}, fed[PREVIEW] = {0};
+    if (is_unmonitored(o, a, j))
+      for (int k = 0; k < 2; k++) {
+        times[k] = -s->period / log1p(-a->common[1][k]);
+        fed_times[k] = -s->period / log1p(-a->common[2][k]);
+      }
     double wanted[PREVIEW], lead[PREVIEW - WINDOW], direction = turning[j], before = 0, pressure = acted->pressure[j];
     o->slow[j] += s->slow_share * (mean[FORCE + j] - o->slow[j]);
     for (int k = 0; k < PREVIEW; k++) {
@@ -142,7 +158,8 @@ static void plan_pressures(step *o, const devices *acted, const double *area, co
         if (o->planned_there && k < STAGES) {
           double extra = o->planned[k][j] - rest_force[j] - h->dynamic[k][j];
           o->extra[k][j] += s->feedback_share * (extra - o->extra[k][j]);
-          need += part * (STAGES > 1 ? 1 - k / (double)(STAGES - 1) : 1) * o->extra[k][j];
+          fed[k] = part * (STAGES > 1 ? 1 - k / (double)(STAGES - 1) : 1) * o->extra[k][j];
+          need += fed[k];
         }
       }
       double plain = (need - a->extra[j] + still[k][j] + o->factor[k][j] * s->rest_tension[j]) / area[j];
@@ -152,12 +169,14 @@ static void plan_pressures(step *o, const devices *acted, const double *area, co
     }
     for (int k = 0; k < PREVIEW - WINDOW; k++) {
       double slope = (wanted[k + WINDOW] - wanted[k]) / (WINDOW * PERIODS * s->period);
-      lead[k] = within((wanted[k + WINDOW] + wanted[k]) / 2 + times[!(slope > 0)] * slope, 0, o->set.pressure_max[j]);
+      double fed_slope = (fed[k + WINDOW] - fed[k]) / area[j] / (WINDOW * PERIODS * s->period);
+      double led = times[!(slope > 0)] * slope + (fed_times[!(slope > 0)] - times[!(slope > 0)]) * fed_slope;
+      lead[k] = within((wanted[k + WINDOW] + wanted[k]) / 2 + led, 0, o->set.pressure_max[j]);
     }
     pressures[j] = lead[0];
     if (s->grid > 0) {
       double steps = within(rint(lead[0] / s->grid), 0, floor(s->pressure_max[j] / s->grid * (1 + 1e-12)));
-      double deadband = within(s->deadband * times[!(lead[0] > now[j])] / s->slow_lag, least(s->deadband, 1), s->deadband);
+      double deadband = within(s->deadband * fed_times[!(lead[0] > now[j])] / s->slow_lag, least(s->deadband, 1), s->deadband);
       pressures[j] = fabs(lead[0] - now[j]) > deadband * s->grid ? steps * s->grid : now[j];
     }
     for (int k = 0; k < STAGES; k++) {
@@ -281,9 +300,11 @@ void step_open(step *o, const settings *set, const course *way, linearise *modal
     o->acts[0].share[1][j] = set->exhausting;
     o->acts[0].covariance[0][0][j] = o->acts[0].covariance[1][1][j] = set->lag_variance;
     o->acts[0].path[j] = pressures[j];
+    o->acts[0].off[j] = NAN;
     o->acts[0].misfit[j] = 2 * set->lag_misfit[j] * set->lag_misfit[j];
     o->acts[0].covariance[2][2][j] = set->lag_offset[j] * set->lag_offset[j];
   }
+  set_factor(o, &o->acts[0], set->factor_first, set->factor_std * set->factor_std);
   filter *f = &o->filters[0];
   for (int i = 0; i < NS; i++) {
     double spread = i < NX ? 1e-2 : i < STRENGTH ? 0.5 : i < FRICTION ? set->strength_std : i < HYSTERESIS ? set->friction_std

@@ -1,134 +1,10 @@
-/* Regulators, motors and the Kalman filter. */
-
-/* Share of what is missing by which a pressure nears its command in a period: as learned where readings fit, else as declared. */
-static double share_of(const step *o, const actuators *a, int j, int exhausts) {
-  const settings *s = &o->set;
-  double most = s->lag_misfit[j] * s->lag_misfit[j];
-  int fits = a->misfit[j] < most && a->offset_path[j] * a->offset_path[j] < 36 * most;
-  return fits ? a->share[exhausts][j] : exhausts ? s->exhausting : s->filling;
-}
-
-static double lagged(const step *o, const actuators *a, int j, double pressure, double command, int periods) {
-  double missing = command - pressure, left = 1 - share_of(o, a, j, !(missing > 0));
-  return command - missing * (periods == 1 ? left : left * left);
-}
-
-/* Devices a control period on under a command, with lags as they are known; F_a at its start and end with these areas. */
-static void advance(const step *o, const actuators *known, devices *d, const devices *command, const double *area, double forces[2][NA]) {
-  for (int j = 0; j < NA; j++) {
-    if (forces) forces[0][j] = area[j] * d->pressure[j] - d->tension[j];
-    d->pressure[j] = lagged(o, known, j, d->pressure[j], command->pressure[j], 1);
-    d->tension[j] += within(command->tension[j] - d->tension[j], -o->set.pull, o->set.pull);
-    if (forces) forces[1][j] = area[j] * d->pressure[j] - d->tension[j];
-  }
-}
-
-/* Slopes of the pressures by commands alone, by the logarithms of the shares, a period on. */
-static void slope(actuators *a, const devices *command) {
-  for (int j = 0; j < NA; j++) {
-    double missing = command->pressure[j] - a->path[j];
-    int exhausts = !(missing > 0);
-    double share = a->share[exhausts][j];
-    for (int k = 0; k < 2; k++) a->slope[k][j] = (1 - share) * a->slope[k][j] + (k == exhausts ? share * missing : 0);
-  }
-}
-
-/* What commands alone make of pressures in a period, with the lags as learned. */
-static void follow(actuators *a, const devices *command) {
-  for (int j = 0; j < NA; j++) {
-    double missing = command->pressure[j] - a->path[j];
-    a->path[j] = command->pressure[j] - missing * (1 - a->share[!(missing > 0)][j]);
-  }
-}
-
-/* What a reading says of a regulator's lags, and with them of its pressure by commands alone. */
-static void learn(const step *o, actuators *a, int j, double measured, double passed) {
-  const settings *s = &o->set;
-  double by[3] = {a->slope[0][j], a->slope[1][j], 1}, seen[3] = {0}, all = s->lag_noise[j] * s->lag_noise[j];
-  double missed = measured - a->path[j] - a->offset_path[j];
-  a->misfit[j] += (1 - exp(-passed / s->lag_forgotten)) * (missed * missed - a->misfit[j]);
-  for (int i = 0; i < 2; i++) a->covariance[i][i][j] += passed * s->lag_drift * s->lag_drift;
-  for (int i = 0; i < 3; i++) for (int k = 0; k < 3; k++) seen[i] += a->covariance[i][k][j] * by[k];
-  for (int i = 0; i < 3; i++) all += by[i] * seen[i];
-  for (int i = 0; i < 3; i++) for (int k = 0; k < 3; k++) a->covariance[i][k][j] -= seen[i] * seen[k] / all;
-  a->offset_path[j] += seen[2] / all * missed;
-  for (int k = 0; k < 2; k++) {
-    double moved = within(seen[k] / all * missed, -s->lag_jump, s->lag_jump), first = k ? s->exhausting : s->filling;
-    a->share[k][j] = within(a->share[k][j] * exp(moved), s->lag_least * first, 1 - s->at_once);
-    a->path[j] += by[k] * moved;
-  }
-}
-
-/* The model's effects on inputs, a period on to the present pressures and tensions. */
-static void affect(const step *o, actuators *a) {
-#if EFFECTS
-  double now[2 * NA], rate[2 * NA], effective[2 * NA], memory[MEMORY + 1];
-  const double *arg[] = {now, rate, a->memory, &o->set.period, o->way.free};
-  double *res[] = {effective, memory};
-  for (int k = 0; k < 2 * NA; k++) {
-    now[k] = k < NA ? a->now.pressure[k] : a->now.tension[k - NA];
-    rate[k] = (now[k] - a->entered[k]) / o->set.period;
-  }
-  input_motion(arg, res);
-  memcpy(a->entered, now, sizeof now);
-  memcpy(a->memory, memory, MEMORY * sizeof(double));
-  for (int j = 0; j < NA; j++) a->extra[j] = o->set.area * (effective[j] - now[j]) - (effective[NA + j] - now[NA + j]);
-#else
-  (void)o, (void)a;
-#endif
-}
-
-/* The command in force over a period; the oldest one that is known where none was yet. */
-static const devices *acting(const step *o, long row) {
-  double start = o->zero + row * o->set.period, middle = (start + (start + o->set.period)) / 2;
-  for (int k = o->sents - 1; k > 0; k--) if (o->sent[k].at <= middle) return &o->sent[k].command;
-  return &o->sent[0].command;
-}
-
-static void send(step *o, double at, const devices *command, double before) {
-  if (o->sents == SENT) { memmove(o->sent, o->sent + 1, (SENT - 1) * sizeof *o->sent); o->sents--; }
-  o->sent[o->sents].at = at;
-  o->sent[o->sents++].command = *command;
-  int gone = 0;
-  while (gone < o->sents - 1 && o->sent[gone + 1].at <= before) gone++;
-  memmove(o->sent, o->sent + gone, (o->sents - gone) * sizeof *o->sent);
-  o->sents -= gone;
-}
-
-/* What is measured above what is expected, 0 where nothing is. */
-static double missed(const double *measured, int j, double expected) {
-  double off = measured ? measured[j] - expected : 0;
-  return isfinite(off) ? off : 0;
-}
-
-static void take_gauges(const step *o, actuators *a, const double *pressures, const double *tensions, double passed) {
-  double share = 1 - exp(-passed / o->set.lasting), by = 0, squares = 0, spread = 0;
-  for (int j = 0; j < NA; j++) {
-    if (pressures && isfinite(pressures[j])) learn(o, a, j, pressures[j], passed);
-    double pressure = missed(pressures, j, a->told.pressure[j] + a->offset.pressure[j]);
-    double read = missed(tensions, j, a->told.tension[j] + a->offset.tension[j]);
-    double tension = fmin(fmax(read, -o->set.farthest), o->set.farthest);
-    a->offset.pressure[j] += share * pressure;
-    a->offset.tension[j] += read - tension + share * tension;
-    if (tensions && isfinite(tensions[j])) { by += tension * a->rate[j]; squares += a->rate[j] * a->rate[j]; spread += tension * tension; }
-    a->now.pressure[j] = most(a->now.pressure[j] + o->set.belief * missed(pressures, j, a->now.pressure[j] + a->offset.pressure[j]), 0);
-    if (fabs(a->offset.tension[j]) > o->set.farthest) continue;
-    a->now.tension[j] = most(a->now.tension[j] + o->set.belief * missed(tensions, j, a->now.tension[j] + a->offset.tension[j]), 0);
-  }
-  if (!tensions) return;
-  a->late = (1 - share) * a->late - passed * by;
-  a->weight = (1 - share) * a->weight + passed * squares;
-  a->spread = (1 - share) * a->spread + passed * spread;
-}
-
-static double lateness(const step *o, const actuators *a) {
-  return a->weight > o->set.telling && a->late * a->late >= o->set.explained * a->weight * a->spread ? a->late / a->weight : 0;
-}
+/* The Kalman filter, and the factor of the regulators' lags beside it. */
 
 static double loaded(const step *o, double tension) { return 1 - o->set.load_share + o->set.load_share * tension / o->set.middle; }
 
 /* The filter a period on, to the operating point `then`. */
-static void predict(const step *o, filter *f, double forces[2][NA], const double *tension, const double *rates, const operating *then) {
+static void predict(const step *o, filter *f, double forces[2][NA], double slopes[2][NA], const double *tension, const double *rates,
+                    const operating *then) {
   const operating *now = f->at;
   const settings *s = &o->set;
   double A[NX][NM] = {{0}}, B[NX][NM], T[NX][NS], push[NX], noisy[NX][NA] = {{0}}, over[NA], turn[NQ][NQ], shift[NQ], kick[NX][NA] = {{0}};
@@ -162,11 +38,14 @@ static void predict(const step *o, filter *f, double forces[2][NA], const double
     TIMES(NQ, NQ, NM, turn, A + part, B + part, 0);
     TIMES(NQ, NQ, NA, turn, noisy + part, kick + part, 0);
   }
-  double mean[NX];
+  double mean[NX], by_factor[NX], moved[NX] = {0};
+  for (int i = 0; i < NX; i++) for (int j = 0; j < NA; j++) moved[i] += now->by_start[i][j] * slopes[0][j] + now->by_end[i][j] * slopes[1][j];
   for (int i = 0; i < NX; i++) {
     mean[i] = i < NQ ? shift[i] : 0;
+    by_factor[i] = 0;
     for (int j = 0; j < NQ; j++) mean[i] += turn[i % NQ][j] * push[i / NQ * NQ + j];
-    for (int j = 0; j < NM; j++) mean[i] += B[i][j] * f->mean[j];
+    for (int j = 0; j < NQ; j++) by_factor[i] += turn[i % NQ][j] * moved[i / NQ * NQ + j];
+    for (int j = 0; j < NM; j++) { mean[i] += B[i][j] * f->mean[j]; by_factor[i] += B[i][j] * f->by_factor[j]; }
   }
   int blind = is_blind(s, f);
   double keep[NS], grown[NS];
@@ -177,8 +56,10 @@ static void predict(const step *o, filter *f, double forces[2][NA], const double
     if (blind && i < NS - 3) drift = i < STRENGTH ? s->blind_force_drift : i < BIAS ? 0 : s->blind_bias_drift;
     grown[i] = s->period * drift * drift + (i < STRENGTH ? s->reversal_noise * s->reversal_noise * over[i - FORCE] : 0);
     f->mean[i] *= keep[i];
+    f->by_factor[i] *= keep[i];
   }
   memcpy(f->mean, mean, sizeof mean);
+  memcpy(f->by_factor, by_factor, sizeof by_factor);
   TIMES(NX, NM, NS, B, f->covariance, T, 0);
   double (*P)[NS] = f->covariance;
   for (int i = 0; i < NX; i++) for (int j = NX; j < NS; j++) P[i][j] = P[j][i] = T[i][j] * keep[j];
@@ -211,7 +92,7 @@ static void expect(const filter *f, correction *c) {
 /* Mean of the filter after a sample's points. */
 static void correct(step *o, filter *f, correction *c, const double *points) {
   const operating *at = f->at;
-  double off[NY], S[NY][NY], left[NY][1];
+  double *off = c->off, S[NY][NY], left[NY][1];
   int count = 0, which[NY];
   o->out.refusals[0] = 0;
   for (int k = 0; k < NY; k++) {
@@ -251,8 +132,36 @@ static void correct(step *o, filter *f, correction *c, const double *points) {
   }
 }
 
-/* The covariance after the same sample, which the commands do not need. */
-static void settle(filter *f, const correction *c) {
+/* The factor of the lags after the same sample, by the factor of the covariance of its innovation, and what goes by it. */
+static void learn_factor(const step *o, filter *f, actuators *a, const correction *c, int count, const int *which, double S[NY][NY],
+                         double W[NY][NS]) {
+  const settings *s = &o->set;
+  double seen[NY][1], off[NY][1], squares = 0, both = 0;
+  for (int k = 0; k < count; k++) {
+    off[k][0] = c->off[which[k]];
+    seen[k][0] = f->by_factor[BIAS + which[k]];
+    for (int i = 0; i < NQ; i++) seen[k][0] += f->at->observe[which[k]][i] * f->by_factor[i];
+  }
+  backed(count, S[0], NY, 1, seen[0], 1, 1);
+  backed(count, S[0], NY, 1, off[0], 1, 1);
+  for (int k = 0; k < count; k++) {
+    squares += seen[k][0] * seen[k][0] / s->factor_coloured;
+    both += seen[k][0] * off[k][0] / s->factor_coloured;
+    for (int i = 0; i < NS; i++) f->by_factor[i] -= W[k][i] * seen[k][0];
+  }
+  double variance = a->factor_variance + s->period * s->factor_drift * s->factor_drift, gain = variance / (1 + variance * squares);
+  double before = a->factor, moved = within(gain * both, -s->factor_move, s->factor_move);
+  set_factor(o, a, within(before + moved, s->factor_least, s->factor_most), gain);
+  moved = a->factor - before;
+  for (int i = 0; i < NS; i++) f->mean[i] += moved * f->by_factor[i];
+  for (int j = 0; j < NA; j++) {
+    a->now.pressure[j] = most(a->now.pressure[j] + moved * a->by_factor[j], 0);
+    a->told.pressure[j] = most(a->told.pressure[j] + moved * a->by_factor[j], 0);
+  }
+}
+
+/* The covariance after the same sample, and the factor of the lags, which the commands do not need. */
+static void settle(const step *o, filter *f, actuators *a, const correction *c) {
   double S[NY][NY], W[NY][NS];
   int count = 0, which[NY];
   for (int k = 0; k < NY; k++) if (c->good[k / 3]) which[count++] = k;
@@ -262,6 +171,7 @@ static void settle(filter *f, const correction *c) {
   }
   upper(count, S[0], NY, 0);
   backed(count, S[0], NY, NS, W[0], NS, 1);
+  if (count) learn_factor(o, f, a, c, count, which, S, W);
   for (int k = 0; k < count; k++)
     for (int i = 0; i < NS; i++) { double s = W[k][i]; for (int j = 0; j < NS; j++) f->covariance[i][j] -= s * W[k][j]; }
 }

@@ -16,7 +16,7 @@ from tepm_opt.models.backends.interface import GUARDS, MODES, SHARED
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.solvers.linear.modal_model import SWEEPS
 
-FILES = ("state.c", "points.c", "filter.c", "horizon.c", "program.c", "command.c")
+FILES = ("state.c", "points.c", "devices.c", "filter.c", "horizon.c", "program.c", "command.c")
 SYMBOLS = ("step_size", "step_outcome", "step_open", "step_prepare", "step_feedback", "step_point")
 ITERATIONS = 1000  # changes of the active set
 
@@ -77,8 +77,22 @@ class Sizes:
     def results(self) -> dict[str, int]:
         """Lengths of what a step leaves, in the order of the structure `outcome`."""
         each = ("pressures", "tensions", "against", "direction", "turning", "deviation", "pressure_offset", "tension_offset")
-        each += ("lasting_pressure", "lasting_tension")
-        single = ("row", "status", "iterations", "moves", "nis", "seen", "late", "ahead", "noise", "doubtful", "seconds", "refusals")
+        each += ("lasting_pressure", "lasting_tension", "monitor_noise")
+        single = (
+            "row",
+            "status",
+            "iterations",
+            "moves",
+            "nis",
+            "seen",
+            "late",
+            "ahead",
+            "noise",
+            "doubtful",
+            "seconds",
+            "refusals",
+            "common",
+        )
         sizes = dict.fromkeys(each, self.actuators) | dict.fromkeys(single, 1)
         more = {
             "quicker": 2 * self.actuators,

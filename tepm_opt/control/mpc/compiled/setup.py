@@ -22,6 +22,8 @@ from tepm_opt.control.actuation.regulator_lags import (
     KNOWN,
     LEAST,
     MISFIT,
+    MOVING_RANGE,
+    NOISY_MONITOR,
     OFFSET,
     READING,
     RegulatorLags,
@@ -29,6 +31,16 @@ from tepm_opt.control.actuation.regulator_lags import (
 from tepm_opt.control.diagnostics.sensors import LARGEST, LATE, NOISY, OFF, QUICKER, SLOWEST, STAYS
 from tepm_opt.control.estimation.kalman_filter import FilterSettings
 from tepm_opt.control.mpc.compiled.layout import Sizes
+from tepm_opt.control.mpc.lag_factor import (
+    CAUTION,
+    COLOURED,
+    FACTOR_DRIFT,
+    FACTOR_STD,
+    FIRST,
+    LEAST_FACTOR,
+    MOST_FACTOR,
+    MOST_MOVE,
+)
 from tepm_opt.control.mpc.prediction import NOTHING, RIDGE
 from tepm_opt.control.mpc.settings import MpcSettings, Use
 from tepm_opt.control.references.path_following import PathFollowingReference
@@ -192,7 +204,9 @@ def told_of_devices(devices: Devices, planner: PressurePlanner, period: float, t
         "period": period, "filling": filling, "exhausting": exhausting, "lag_variance": DOUBT**2, "lag_drift": DRIFT,
         "lag_least": LEAST, "lag_noise": READING * planner.limits, "at_once": AT_ONCE, "lag_known": KNOWN,
         "lag_misfit": MISFIT * planner.limits, "lag_jump": JUMP, "lag_forgotten": FORGOTTEN,
-        "lag_offset": OFFSET * planner.limits,
+        "lag_offset": OFFSET * planner.limits, "monitor_noisy": NOISY_MONITOR * planner.limits, "moving_range": MOVING_RANGE,
+        "factor_first": FIRST, "factor_std": FACTOR_STD, "factor_drift": FACTOR_DRIFT, "factor_least": LEAST_FACTOR,
+        "factor_most": MOST_FACTOR, "factor_move": MOST_MOVE, "factor_coloured": COLOURED, "factor_caution": CAUTION,
         "pull": rate * period, "pull_stage": PERIODS * rate * period,
         "pressure_max": planner.limits, "grid": planner.step, "tension_max": tension_max,
         "belief": BELIEF, "lasting": LASTING, "telling": TELLING, "whole": WHOLE, "explained": EXPLAINED,

@@ -51,17 +51,21 @@ typedef struct {
   devices now, told, offset; /* offset: of what measures them */
   double rate[NA], late, weight, spread;
   double share[2][NA], path[NA], offset_path[NA], misfit[NA], covariance[3][3][NA], slope[2][NA]; /* actuation/regulator_lags.py */
+  double off[NA], noise[NA]; /* readings above what lags and offset explain, NaN before the first one; noise of the monitors */
+  double factor, lead_factor, factor_variance, common[3][2], by_factor[NA]; /* mpc/lag_factor.py; common: shares with the factors for
+    lags, lead and lead of feedback */
   double entered[2 * NA], memory[MEMORY + 1], extra[NA]; /* what the model's effects make of pressures and tensions, in N */
 } actuators;
 
 typedef struct {
   const operating *at;
-  double mean[NS], covariance[NS][NS], direction[NA], deviation[NA], turning[NA], tension[NA], noise;
+  double mean[NS], covariance[NS][NS], direction[NA], deviation[NA], turning[NA], tension[NA], noise, by_factor[NS];
   int begun, outlying[NP], tip_missing;
 } filter;
 
 typedef struct {
   double cross[NS][NY], S[NY][NY]; /* of the state and the innovation, of the innovation */
+  double off[NY];                  /* innovation */
   int good[NP];                    /* points that were taken */
 } correction;
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from tepm_opt.control.actuation.regulator_lags import RegulatorFindings
 from tepm_opt.control.controller import Telemetry, Value
 from tepm_opt.control.diagnostics.sensors import SensorDiagnostics
 from tepm_opt.control.estimation.kalman_filter import DiscreteModalModel, StateEstimate
@@ -196,7 +197,8 @@ class CompiledStep:
             offsets = {kind: self._out[part[f"{kind}_offset"]] for kind in lasting}
             noise = now[part["noise"].start], self._setup.noise
             quicker = self._out[part["quicker"]].reshape(2, -1)
-            doubts = self._doubts.sentences(lasting, offsets, noise, now[part["late"].start], quicker)
+            regulators = RegulatorFindings(quicker, self._out[part["monitor_noise"]], now[part["common"].start])
+            doubts = self._doubts.sentences(lasting, offsets, noise, now[part["late"].start], regulators)
         return Telemetry(columns, dict(self.fallbacks), doubts)
 
 
