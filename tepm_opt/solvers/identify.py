@@ -150,6 +150,16 @@ def identify(
     return at.estimate(done, Outcome(Ending.SOLVED if converged else Ending.NOT_CONVERGED, message))
 
 
+def compute_cost(problem: Problem, values: np.ndarray) -> float:
+    """Sum of the (weighted) squares over the noise, with the priors', of values, (parameters,), simulated without derivatives.
+
+    Raises:
+        PredictionError: the model cannot do a run with these values.
+    """
+    residuals = problem.residuals(values, ())
+    return _cost(problem, values, residuals, _weights(residuals, problem.robust))
+
+
 @dataclass(frozen=True, eq=False)
 class _Iterate:
     """Values on the way of a fit.
