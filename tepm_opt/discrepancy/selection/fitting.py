@@ -212,8 +212,8 @@ class Fits:
     def _shorten_first_step(self, problem: Problem, effects: Effects) -> Problem:
         """The problem with first values so near those of the best fit of some of the effects that they leave less than it.
 
-        A step from there that leaves more is halved (backtracking; Nocedal and Wright 2006, ch. 3). Shapes of effects that the other fit does
-        not have are kept: there they change nothing.
+        A step from there that leaves more is halved (backtracking; Nocedal and Wright 2006, ch. 3). Shapes of effects that the other fit
+        does not have are kept: there they change nothing.
         """
         nested = [h for h in self.done.values() if set(h.effects) < set(effects)]
         if not nested:
