@@ -12,7 +12,7 @@ from tepm_opt.control.mpc.lag_factor import CAUTION, LEAST_FACTOR, LagFactor
 from tepm_opt.control.references.reference import Reference
 from tepm_opt.hw.rig import Command
 from tepm_opt.models.devices import Devices
-from tepm_opt.solvers.modal_model import modal_model
+from tepm_opt.solvers.linear.modal_model import modal_model
 
 PERIOD, AREA, NOISE = 0.01, 4.5e-5, 3e-4
 LIMITS, REST = np.full(6, 5e5), np.full(6, 2e5)

@@ -230,6 +230,18 @@ class TestFits:
         assert found.excess < astray.excess
         assert fits.refit((effect,), far) is found is fits.find((effect,))
 
+    def test_begin_no_worse_than_those_of_fewer_effects(self, library: CompiledModel, runs: list[Run]) -> None:
+        """First values that leave more than no effect are drawn towards none, where there is a fit without it."""
+        effect, settings = candidate("sensor_offset", "s3"), SearchSettings(max_iterations=0)
+        far = {f"{effect.label}.x": 5 * OFFSET[0]}
+        fits = Fits(problem(library, runs), settings)
+        nothing, shortened = fits.fit((), {}), fits.fit((effect,), far)
+        astray = Fits(problem(library, runs), settings).fit((effect,), far)
+        assert nothing is not None
+        assert shortened is not None
+        assert astray is not None
+        assert shortened.estimate.cost < nothing.estimate.cost < astray.estimate.cost
+
     def test_that_ended_early_go_on_when_asked_for(self, library: CompiledModel, runs: list[Run]) -> None:
         fits = Fits(problem(library, runs), SearchSettings())
         right, wrong = (fits.fit((candidate(name, detail),), {}) for name, detail in (("sensor_offset", "s3"), ("sensor_offset", "s1")))

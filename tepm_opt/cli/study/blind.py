@@ -22,7 +22,10 @@ def blind(
     seed: Annotated[int, typer.Option("--seed", min=0, help="Of all trials: the same seed and number is the same trial.")] = 0,
     family: Annotated[
         str | None,
-        typer.Option("--family", help="Only this one instead of all in turn: closed, open, wrong, poor or null; or engine, in MuJoCo."),
+        typer.Option(
+            "--family",
+            help="Only this one instead of all in turn: closed, open, wrong, poor or null; or engine, in MuJoCo, or rod, in PyElastica.",
+        ),
     ] = None,
     out: Annotated[Path, typer.Option("--out", help="Folder for the results.")] = Path("blind"),
     data: Annotated[

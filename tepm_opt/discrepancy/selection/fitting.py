@@ -21,12 +21,14 @@ from tepm_opt.discrepancy.selection.linearised import Linearised, linearise
 from tepm_opt.discrepancy.selection.screening import Score, screen
 from tepm_opt.outcome import Ending, Outcome
 from tepm_opt.progress import Progress, silent
-from tepm_opt.solvers.identification.identify import OUT_OF_REACH, ParameterEstimate, Problem, identify
+from tepm_opt.solvers.identification.identify import OUT_OF_REACH, ParameterEstimate, Problem, compute_cost, identify
 from tepm_opt.solvers.mechanics.plant import PredictionError
 from tepm_opt.solvers.numerics.parallel import in_parallel
 from tepm_opt.solvers.numerics.text import format_names, shorten
 
 Effects = tuple[Candidate, ...]
+FIRST_STEPS = (1.0, 0.5, 0.25, 0.125)
+"""Parts of the step from the fit of some effects to first values for more of them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,8 +132,8 @@ class Fits:
         wanted = [(_sort(effects), start) for effects, start in asked]
         missing: dict[Effects, list[dict[str, float]]] = {}
         for effects, start in wanted:
-            if not self._has(effects, rival is not None or np.isfinite(bound)):
-                missing.setdefault(effects, []).append(start)
+            if not self._has(effects, rival is not None or np.isfinite(bound)) and start not in missing.setdefault(effects, []):
+                missing[effects].append(start)
         for effects in missing:
             self.progress(_describe_fit(effects), 0, 0)
         if rival is not None:
@@ -188,10 +190,11 @@ class Fits:
                 self.limit.check(effects)
 
         for start in [kept] if kept else begun:
-            begin = tuple(replace(f, start=float(np.clip(start.get(f.name, f.start), f.low, f.high))) for f in free)
+            begin = replace(problem, free=tuple(replace(f, start=float(np.clip(start.get(f.name, f.start), f.low, f.high))) for f in free))
             with suppress(PredictionError):
                 tell(stage, 0, settings.max_iterations)
-                fits.append(identify(replace(problem, free=begin), steps, tell, tolerance=settings.tolerance, reached=bound))
+                begin = begin if kept else self._shorten_first_step(begin, effects)
+                fits.append(identify(begin, steps, tell, tolerance=settings.tolerance, reached=bound))
         self.progress(_describe_fit(effects), settings.max_iterations, settings.max_iterations)
         if not fits:
             return None
@@ -205,6 +208,30 @@ class Fits:
         evidence = replace(evidence, parameters=self._count_parameters(found, evidence, effects))
         self._keep(f"early {label}" if found.out_of_reach else f"{stage} {label}", found.named)
         return Hypothesis(effects, replace(found, residuals=[residual.bare for residual in found.residuals]), evidence)
+
+    def _shorten_first_step(self, problem: Problem, effects: Effects) -> Problem:
+        """The problem with first values so near those of the best fit of some of the effects that they leave less than it.
+
+        A step from there that leaves more is halved (backtracking; Nocedal and Wright 2006, ch. 3). Shapes of effects that the other fit
+        does not have are kept: there they change nothing.
+        """
+        nested = [h for h in self.done.values() if set(h.effects) < set(effects)]
+        if not nested:
+            return problem
+        best = min(nested, key=lambda h: h.estimate.cost)
+        new = [effect for effect in effects if effect not in best.effects]
+        shapes = {name for effect in new for name in (*effect.shapes, effect.happens)}
+        known = {name: value for effect in new for name, value in effect.null.items() if name not in shapes} | best.estimate.named
+        start = problem.start
+        base = np.array([known.get(f.name, f.start) for f in problem.free])
+        for part in FIRST_STEPS:
+            values = base + part * (start - base)
+            with suppress(PredictionError):
+                if compute_cost(problem, values) <= best.estimate.cost:
+                    break
+        else:
+            return problem
+        return replace(problem, free=tuple(replace(f, start=float(v)) for f, v in zip(problem.free, values, strict=True)))
 
     def linear(self, hypothesis: Hypothesis, missing: Sequence[Candidate]) -> Linearised:
         """The linearised fit of a hypothesis in the effects that it does not have; smooth ones only where others are screened by fits."""

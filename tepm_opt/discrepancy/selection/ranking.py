@@ -105,7 +105,7 @@ def largest_excess_of_parts(best: Hypothesis, rest: Hypothesis | None, effect: C
     """Excess up to which single parts in the place of a wide effect are believed instead, below 0 for another effect.
 
     Parts that do what it does, but for what counts as noise, are no scatter of all; where more than noise is left, what the errors of all
-    forms leave may hide a small share.
+    forms leave may hide a small share, which is no more than what it leaves itself.
 
     Args:
         best: hypothesis with the effect.
@@ -116,7 +116,7 @@ def largest_excess_of_parts(best: Hypothesis, rest: Hypothesis | None, effect: C
     if not settings.is_wide(effect):
         return -1.0
     removed = 0.0 if rest is None or best.only_noise(settings) else rest.excess - best.excess
-    return best.left + max(settings.max_noise_excess, settings.max_parts_loss * removed)
+    return best.left + max(settings.max_noise_excess, min(settings.max_parts_loss * removed, best.left))
 
 
 def beats(one: Hypothesis, other: Hypothesis, seed: int, settings: SearchSettings) -> bool:

@@ -19,6 +19,7 @@ from tepm_opt.solvers.numerics.text import html_table
 
 ITERATIONS = 15
 MAD = 1.4826  # of a normal distribution's median absolute deviation
+TRIES = 3  # steps tried, with those that leave more, for each one allowed
 HOPE = 2.0  # how many times what a step promises to first order a fit may still gain
 OUT_OF_REACH = "a rival cannot be reached any more"
 FACTOR = 4.0  # by which what is above 0 changes at most in a step: a time or a distance does not leap past its best
@@ -110,7 +111,7 @@ def identify(
 
     Args:
         problem: what to fit.
-        max_iterations: most steps.
+        max_iterations: most steps that leave less; three times as many are tried.
         progress: told of every step.
         tolerance: part of the squared residuals beyond the noise for which no further step is made.
         reached: cost that a rival has: no further step is made where `HOPE` times what it promises would leave more.
@@ -124,9 +125,9 @@ def identify(
         raise InputError("nothing to fit to: no run with a measured sample")
     values = np.clip(problem.start, problem.low, problem.high)
     at = _Iterate(problem, values, problem.residuals(values), near, near or problem.sparse is not problem)
-    damping, done, message, converged = 1e-6, 0, "steps ended", not problem.free
+    damping, done, tried_steps, message, converged = 1e-6, 0, 0, "steps ended", not problem.free
     count, part = sum(r.count for r in at.residuals), 1.0
-    while done < max_iterations and not converged:
+    while done < max_iterations and tried_steps < TRIES * max_iterations and not converged:
         step, promised = at.compute_step(damping)
         if promised < 0.1 + tolerance * max(at.cost - count, 0.0):
             converged, message = True, "no step promises less"
@@ -134,10 +135,11 @@ def identify(
         if at.cost - HOPE * promised > reached:
             message = OUT_OF_REACH
             break
-        done += 1
+        tried_steps += 1
         tried, part, failure = _try_step(problem, at.values, step, part, at.residuals if at.keeps else None)
         new = np.inf if tried is None else _cost(problem, at.values + part * step, tried, at.weights)
         if tried is not None and new < at.cost:
+            done += 1
             gained = (at.cost - new) / (promised * part * (2 - part))
             at, part = at.advance(part * step, tried), min(4 * part, 1.0)
             damping = damping / 10 if gained > 0.25 else damping * 3
@@ -148,6 +150,16 @@ def identify(
                 break
         progress("fit", done, max_iterations)
     return at.estimate(done, Outcome(Ending.SOLVED if converged else Ending.NOT_CONVERGED, message))
+
+
+def compute_cost(problem: Problem, values: np.ndarray) -> float:
+    """Sum of the (weighted) squares over the noise, with the priors', of values, (parameters,), simulated without derivatives.
+
+    Raises:
+        PredictionError: the model cannot do a run with these values.
+    """
+    residuals = problem.residuals(values, ())
+    return _cost(problem, values, residuals, _weights(residuals, problem.robust))
 
 
 @dataclass(frozen=True, eq=False)
