@@ -53,7 +53,7 @@ def test_an_interruption_keeps_what_is_there(tepm: Command, here: Path, monkeypa
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ("--family opne", ("family 'opne'", "valid: closed, engine, null, open, poor, wrong")),
+        ("--family opne", ("family 'opne'", "valid: closed, engine, null, open, poor, rod, wrong")),
         ("--trials 0", ("--trials",)),
         ("--scheduler tcp://127.0.0.1:9 --trials 1", ("scheduler",)),
         ("--out file", ("file",)),
