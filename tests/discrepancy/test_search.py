@@ -234,9 +234,9 @@ class TestFits:
         """First values that leave more than no effect are drawn towards none, where there is a fit without it."""
         effect, settings = candidate("sensor_offset", "s3"), SearchSettings(max_iterations=0, wide_above=0)
         far = {f"{effect.label}.x": 5 * OFFSET[0]}
-        fits = Fits(problem(library, runs), settings)
+        fits = Fits(replace(problem(library, runs), derivatives_apart=0.04), settings)
         nothing, shortened = fits.fit((), {}), fits.fit((effect,), far)
-        astray = Fits(problem(library, runs), settings).fit((effect,), far)
+        astray = Fits(replace(problem(library, runs), derivatives_apart=0.04), settings).fit((effect,), far)
         assert nothing is not None
         assert shortened is not None
         assert astray is not None
