@@ -232,7 +232,7 @@ class TestFits:
 
     def test_begin_no_worse_than_those_of_fewer_effects(self, library: CompiledModel, runs: list[Run]) -> None:
         """First values that leave more than no effect are drawn towards none, where there is a fit without it."""
-        effect, settings = candidate("sensor_offset", "s3"), SearchSettings(max_iterations=0, wide_above=0)
+        effect, settings = candidate("sensor_offset", "s3"), SearchSettings(max_iterations=0)
         far = {f"{effect.label}.x": 5 * OFFSET[0]}
         fits = Fits(replace(problem(library, runs), derivatives_apart=0.04), settings)
         nothing, shortened = fits.fit((), {}), fits.fit((effect,), far)

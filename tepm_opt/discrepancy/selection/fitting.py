@@ -193,8 +193,8 @@ class Fits:
             begin = replace(problem, free=tuple(replace(f, start=float(np.clip(start.get(f.name, f.start), f.low, f.high))) for f in free))
             with suppress(PredictionError):
                 tell(stage, 0, settings.max_iterations)
-                shortens = not kept and problem.derivatives_apart > 0 and any(map(settings.is_wide, effects))
-                begin = self._shorten_first_step(begin, effects) if shortens else begin
+                if not kept and problem.derivatives_apart:  # one without derivatives costs little
+                    begin = self._shorten_first_step(begin, effects)
                 fits.append(identify(begin, steps, tell, tolerance=settings.tolerance, reached=bound))
         self.progress(_describe_fit(effects), settings.max_iterations, settings.max_iterations)
         if not fits:
@@ -214,7 +214,7 @@ class Fits:
         """The problem with first values so near those of the best fit of some of the effects that they leave less than it.
 
         A step from there that leaves more is halved (backtracking; Nocedal and Wright 2006, ch. 3). Shapes of effects that the other fit
-        does not have are kept: there they change nothing. Only for wide effects of a network: others find better fits from afar.
+        does not have are kept: there they change nothing.
         """
         nested = [h for h in self.done.values() if set(h.effects) < set(effects)]
         if not nested:

@@ -111,7 +111,8 @@ def identify(
 
     Args:
         problem: what to fit.
-        max_iterations: most steps that leave less; three times as many are tried.
+        max_iterations: most steps. One that leaves more does not count where it is simulated without derivatives; `TRIES` times as many
+            are tried at most.
         progress: told of every step.
         tolerance: part of the squared residuals beyond the noise for which no further step is made.
         reached: cost that a rival has: no further step is made where `HOPE` times what it promises would leave more.
@@ -145,6 +146,7 @@ def identify(
             damping = damping / 10 if gained > 0.25 else damping * 3
         else:
             damping, part, message = max(10 * damping, 1e-3), 1.0, failure or message
+            done += 0 if at.keeps else 1  # without derivatives it cost little
             if damping > 1e6:
                 converged, message = bool(np.isfinite(new)), failure or "no shorter step helps"
                 break
