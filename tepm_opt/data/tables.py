@@ -139,13 +139,8 @@ def write_table(path: str | Path, names: Sequence[str], rows: np.ndarray) -> Non
     write_atomically(path, "\n".join(lines) + "\n")
 
 
-def field_text(value: float) -> str:
-    """A number in the shortest form that reads back equal; NaN is empty."""
-    return "" if value != value else repr(float(value))
-
-
 def field_texts(values: Iterable[float]) -> list[str]:
-    """Python's own floats as texts, as `field_text` has them."""
+    """Python's own floats in the shortest form that reads back equal; NaN is empty."""
     return ["" if text == "nan" else text for text in map(repr, values)]
 
 
