@@ -358,3 +358,16 @@ class TestAnswer:
         with pytest.raises(InputError, match="other actuators or reference points"):
             run_discrepancy(folder, tmp_path / "out", tmp_path / "model.toml")
         assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_a_value_that_ends_at_its_limit_is_tried_alone(kang: CompiledModel, tmp_path: Path) -> None:
+    """To first order, five effects promise more than the one wrong value that they would stand for."""
+    stiff = changed(kang, **{**true_values(kang), "K_a": 1.065 * kang.robot.parameters.K_a})
+    runs = [cut(run, 3.0) for run in measured(stiff, planned(FILES))]
+    verdict = run_discrepancy(write(dataset_of(kang, runs), tmp_path / "stiff"), tmp_path / "out").verdict
+    assert verdict.status is VerdictStatus.NAMED, verdict.paragraph
+    (named,) = verdict.effects
+    assert named.candidate.label == "parameter[K_a]"
+    value = named.parameters["K_a"]
+    assert abs(value.value - 1.065 * kang.robot.parameters.K_a) < 4 * value.std

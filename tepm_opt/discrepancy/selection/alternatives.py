@@ -13,7 +13,7 @@ from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.cross_validation import in_sample, weights
 from tepm_opt.discrepancy.selection.fitting import Effects, Fits, Hypothesis, may_act_beside
-from tepm_opt.discrepancy.selection.ranking import beats, fit_promising, largest_excess_of_parts, rank_promising
+from tepm_opt.discrepancy.selection.ranking import beats, fit_promising, fit_values_at_limits, largest_excess_of_parts, rank_promising
 from tepm_opt.discrepancy.selection.screening import Score, screen_by_fits
 from tepm_opt.discrepancy.selection.significance import is_significant
 
@@ -37,7 +37,7 @@ def replacements(
         scores = _start_from_best(fits, best, rest, _scores(fits, rest, effect, missing), missing)
         others += [h for h in fit_promising(fits, rest, scores, best) if effect not in h.effects]
         more = (*_fit_changes_in_pause(fits, rest, effect, missing), *_fit_pair(fits, best, rest, effect, scores, missing))
-        others += [h for h in more if h not in others]
+        others += [h for h in (*more, *fit_values_at_limits(fits, rest, missing, best)) if h not in others]
     others = [h for h in others if all(is_significant(h.estimate, c, settings) for c in h.effects if c not in best.effects)]
     others = [h for h in others if beats(h, best, seed, settings) or all(c.form_of != effect.form_of for c in h.effects)]
     group = [best, *(h for h in others if h is not best)]

@@ -19,7 +19,7 @@ from tepm_opt.discrepancy.selection.matching_pursuit import (
     prune_insignificant,
     weigh_best_rival,
 )
-from tepm_opt.discrepancy.selection.ranking import beats, drop_richer_forms, fit_promising, most_probable
+from tepm_opt.discrepancy.selection.ranking import beats, drop_richer_forms, fit_promising, fit_values_at_limits, most_probable
 from tepm_opt.discrepancy.selection.run_subsets import list_helped_runs, list_run_spans, select_longest_span
 from tepm_opt.discrepancy.selection.screening import Score, screen_pairs
 from tepm_opt.solvers.identification.identify import Problem
@@ -91,7 +91,8 @@ def explain(fits: Fits, missing: Sequence[Candidate], seed: int) -> Explanation:
         fits.problem.residuals(fits.problem.start)
         raise PredictionError("the model cannot do the runs")
     base = (fits.fit(fits.gauge_effects, {**without.estimate.named, **fits.values}) if fits.gauge_effects else None) or without
-    together = fit_by_matching_pursuit(fits, base, missing)
+    alone = min(fit_values_at_limits(fits, base, missing), key=lambda h: h.excess, default=base)
+    together = alone if alone is not base and alone.only_noise(settings) else fit_by_matching_pursuit(fits, base, missing)
     best = together or _select_forward(fits, base, missing, seed)
     if together is None:
         best = most_probable([best, *_fit_wide_alone(fits, without, best, missing)], seed, 1)[0]

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tepm_opt.discrepancy.adapters.network import PARAMETER
 from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.cross_validation import weights
@@ -49,6 +50,22 @@ def fit_promising(fits: Fits, base: Hypothesis, scores: Sequence[Score], rival: 
     below = _scores_above_best(found if rival is None else [*found, rival], scores, ranked)
     found += [t for t in fits.fit_all([each for one in list_starts(below) for each in one], solved, bound) if t is not None]
     return list(dict.fromkeys(found))
+
+
+def fit_values_at_limits(fits: Fits, base: Hypothesis, missing: Sequence[Candidate], rival: Hypothesis | None = None) -> list[Hypothesis]:
+    """Fit each value of the robot file that ended at its prior's limit as a wrong one: what drove it there may be it alone.
+
+    Args:
+        fits: all fits so far.
+        base: the hypothesis beside whose effects the value is wrong.
+        missing: the candidates.
+        rival: a hypothesis that they compete with, whose values at limits are fitted, too.
+    """
+    begun = [h for h in (base, rival) if h is not None]
+    limits = {f.name for h in begun for f, at in zip(h.estimate.problem.free, h.estimate.at_bound, strict=True) if at}
+    wrong = [c for c in missing if c.name == PARAMETER and c.detail in limits and c.label not in {e.label for e in base.effects}]
+    asked = [((*base.effects, c), h.estimate.named) for c in wrong for h in begun]
+    return list(dict.fromkeys(h for h in fits.fit_all(asked, rival) if h is not None))
 
 
 def _scores_above_best(fitted: Sequence[Hypothesis], scores: Sequence[Score], ranked: Sequence[Score]) -> list[Score]:
