@@ -102,7 +102,7 @@ class Lqg:
         first = self.start()
         lags = RegulatorLags(self.devices, self.period, self._pressure_max, first.pressures)
         self._actuators = Actuators(self.devices, self.area, first, lags)
-        self._sent = CommandDelayLine(first, self.period, int(np.ceil((age + self.devices.delay) / self.period - 1e-9)))
+        self._sent = CommandDelayLine(first, self.period, round((age + self.devices.delay) / self.period))
         self._effects = InputEffects(model, np.concatenate([first.pressures, first.tensions]))
         self._at = self._stations[0]
         self._modes, self._actuated = len(self._at.operating.model.stiffness), half

@@ -50,7 +50,6 @@ from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.devices import Devices
 from tepm_opt.solvers.linear.modal_model import NEAR, ModalModel, fixed_part, modal_model
 
-SLACK = 0.05  # of a period, by which computing time may go beyond whole ones
 Told = dict[str, float | np.ndarray]
 """Settings by name: numbers, or an array with one for each actuator."""
 
@@ -104,7 +103,7 @@ class StepSetup:
         devices, tracker, period = Devices.from_model(model), robot.tracker, reference.period
         pressure_max, tension_max = robot.input_max[:half], robot.input_max[half:]
         late = (tracker.latency_s if tracker else 0.0) + devices.delay
-        ahead = int(max(np.ceil(late / period - 1e-9), np.ceil((late + computing) / period - SLACK)))
+        ahead = round((late + computing) / period)  # the nearest: a whole period too many costs more than a part too few
         noise = max((tracker.noise_rms_m if tracker else 1e-3) / np.sqrt(3), 1e-6)
         first = _first_command(model, reference.forces[0], settings)
         start = modal_model(reference.equilibria[0]).scale_damping(settings.damping)
