@@ -24,7 +24,7 @@ from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.problem.time_limit import TimeLimit
 from tepm_opt.discrepancy.reporting.sentences import next_step
 from tepm_opt.discrepancy.setup.errors import foreign_run
-from tepm_opt.discrepancy.setup.foreign import odd_run
+from tepm_opt.discrepancy.setup.foreign import is_outermost, odd_run
 from tepm_opt.discrepancy.stages import STAGES, other_store, prepare, recalibrate
 from tepm_opt.discrepancy.state import Discovery, Question
 from tepm_opt.errors import InputError
@@ -164,6 +164,8 @@ def _without_odd_run(question: Question, found: Discovery, stages: Sequence[Call
     still = odd_run(dataset.runs, predict_runs(again.explanation.best.estimate.plant, dataset, again.noise), again.noise)
     if still is None or still[0] != odd[0]:
         return found
+    if is_outermost(dataset.runs, odd[0]) and any(effect.timed for effect in again.explanation.best.effects):
+        return found  # how the effect goes on is the effect's form, not another set-up
     status, setup = VerdictStatus.SETUP_ERROR, (*again.verdict.setup, foreign_run(file, still[1]))
     return replace(again, verdict=replace(again.verdict, status=status, setup=setup, next=next_step(status)))
 

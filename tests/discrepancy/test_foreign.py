@@ -13,7 +13,7 @@ from tepm_opt.discrepancy.assessment.result import Named, VerdictStatus
 from tepm_opt.discrepancy.pipeline import discover
 from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.discrepancy.reporting.report import _is_another_machine
-from tepm_opt.discrepancy.setup.foreign import odd_run
+from tepm_opt.discrepancy.setup.foreign import is_outermost, odd_run
 from tests.discrepancy.test_setup import two_masses
 
 NOISE = 2e-4
@@ -51,6 +51,12 @@ def test_what_goes_where_no_other_run_does_is_not_foreign(size: float, number: i
     runs[2] = replace(runs[2], points=runs[2].points * np.where(beyond, 1.2, 1.0)[:, None, None])
     found = odd_run(runs, [plant.predict(run).points for run in runs], NOISE)
     assert (found and found[0]) == number
+
+
+def test_first_and_last_runs_of_a_session_are_outermost() -> None:
+    runs = [replace(recorded(two_masses(), number), began=began) for number, began in enumerate((10.0, 0.0, 30.0, 20.0))]
+    assert [is_outermost(runs, number) for number in range(4)] == [False, True, True, False]
+    assert not is_outermost([replace(run, began=0.0) for run in runs], 2), "where nobody says when a run was made"
 
 
 @pytest.mark.parametrize(("probability", "is_told"), [(0.95, True), (0.69, False)])

@@ -48,6 +48,7 @@ def candidate(name: str, detail: str | None = None, layout: Layout | None = None
         acts=tuple(kind for kind, own in hooks.items() if any(effect.has(hook) for hook in own)),
         exact=effect.exact,
         happens=f"{label}.{effect.happens}" if effect.happens else "",
+        timed=effect.timed,
         suggested=partial(_suggest_values, effect, label) if effect.has("suggest_values") else None,
     )
 

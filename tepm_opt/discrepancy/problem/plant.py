@@ -42,6 +42,7 @@ class Candidate:
         runs: files of the runs in which it acts; none for all of them.
         ranges: lowest and highest value by full name, of parameters that the plant knows within a narrower range or does not free.
         happens: full name of the parameter that is the instant at which it begins to act for good; empty where it has none.
+        timed: whether it changes with the session's time, so that runs before or after all others say something new of it.
         suggested: values by full name of what says how it acts, from what a model leaves (see `models.effect.Effect.suggest_values`).
     """
 
@@ -63,6 +64,7 @@ class Candidate:
     exact: bool = field(default=False, compare=False, repr=False)
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict, compare=False, repr=False)
     happens: str = field(default="", compare=False, repr=False)
+    timed: bool = field(default=False, compare=False, repr=False)
     suggested: Callable[[np.ndarray, np.ndarray, np.ndarray], Mapping[str, float]] | None = field(default=None, compare=False, repr=False)
 
     @property

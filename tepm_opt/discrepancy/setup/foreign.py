@@ -51,6 +51,13 @@ def odd_run(
     return (worst, others / float(misfit[worst])) if np.isfinite(left).any() and np.nanmean(left) >= least else None
 
 
+def is_outermost(runs: Sequence[Run], number: int) -> bool:
+    """Whether a run is before or after all others of the session, so that what changes with its time is extrapolated to it."""
+    began = [run.began for run in runs]
+    others = began[:number] + began[number + 1 :]
+    return not min(others, default=-np.inf) <= began[number] <= max(others, default=np.inf)
+
+
 def _drive(run: Run, within: int = 10) -> np.ndarray:
     """Size of all inputs, of their changes within some rows, and their sum, (rows, 2 inputs + 1)."""
     size = np.abs(run.inputs)
