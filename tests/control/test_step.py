@@ -269,4 +269,4 @@ def test_computing_time_is_a_delay_in_real_time(kang, short):
     assert make_mpc(kang, short, MpcSettings().in_real_time(0.01)).ahead in (2, 3)
     with pytest.raises(InputError, match="computing: None; valid: a time in s"):
         Mpc(kang, short, MpcSettings(computing=None))
-    assert Mpc(kang, short, MpcSettings(computing=None), 12e-3).ahead == 4
+    assert Mpc(kang, short, MpcSettings(computing=None), 12e-3).ahead == 3
