@@ -20,6 +20,7 @@ from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.hw.simulation.rigfile import RigFile, load_rig_file
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.devices import Devices
+from tests.control.study_valves import LateMonitors, with_lags
 
 NAMES = ("11", "12", "13")
 
@@ -181,6 +182,21 @@ def test_noisy_monitors_harm_nothing_and_are_told(kang: CompiledModel, short: Re
     assert done.error() < 1.3 * followed.error() + 2e-4
     told = [at for at, row in zip(done.time, done.telemetry, strict=True) if sum(about.startswith("noise") for about in row.doubts) == 6]
     assert told[0] < 3.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("part", "late"), [(1.0, 10), (0.25, 5)])
+def test_late_monitors_harm_nothing_and_are_told(
+    kang: CompiledModel, short: Reference, followed: LoopRecord, part: float, late: int
+) -> None:
+    """All 0.1 or 0.05 s late. Beside quick valves the arm was thrown by 66 mm."""
+    rig = LateMonitors(with_lags(part), late)
+    rig.reseed(2)
+    done = close_loop(rig, Mpc(kang, short), kang.robot)
+    assert done.error() < 1.8 * followed.error() + 2e-4
+    assert done.outcome.solved
+    told = [at for at, row in zip(done.time, done.telemetry, strict=True) if "pressure monitors" in row.doubts]
+    assert told[0] < 2.0
 
 
 @pytest.mark.slow

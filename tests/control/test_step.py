@@ -161,6 +161,16 @@ def test_the_same_without_monitors_or_with_noisy_ones(kang, quick, recorded):
 
 
 @pytest.mark.slow
+def test_the_same_with_late_monitors(kang, quick, recorded):
+    """Distrusted as soon as they are told, with and without time to prepare."""
+    late = [replace(sample, pressures=recorded[max(k - 10, 0)].pressures) for k, sample in enumerate(recorded)]
+    for prepares in (True, False):
+        pair = both(kang, quick, MpcSettings())
+        compared(pair, iter(late[:250]), prepares=prepares)
+        assert "pressure monitors" in pair[0].telemetry().doubts
+
+
+@pytest.mark.slow
 def test_the_same_without_time_to_prepare(kang, quick, recorded):
     """All of it when the sample is there; the same commands as prepared."""
     lazy = compared(both(kang, quick, MpcSettings()), iter(recorded[:60]), prepares=False)

@@ -97,7 +97,7 @@ class SensorDiagnostics:
                     f"{gauge} {name} reads {size:g} {unit} {way}, or {device} {name} gives that much {other} than it is told: "
                     "its readings and its commands do not say which"
                 )
-        for k in np.flatnonzero(regulators.noise).tolist():
+        for k in np.flatnonzero((regulators.noise > 0) & np.isfinite(regulators.noise)).tolist():  # without limit: told elsewhere
             name, size = self._names[k], float(f"{1e-3 * regulators.noise[k]:.2g}")
             found[f"noise of monitor {name}"] = (
                 f"pressure monitor {name} has {size:g} kPa of noise, too much to be believed; the controller goes by the commands"

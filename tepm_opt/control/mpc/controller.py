@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from tepm_opt.control.controller import ControllerKind, ControllerSettings, Telemetry, own_settings
 from tepm_opt.control.diagnostics.marker_slip import Markers
+from tepm_opt.control.diagnostics.monitor_delay import MonitorDelay
 from tepm_opt.control.diagnostics.sensors import SensorDiagnostics
 from tepm_opt.control.mpc.compiled.setup import StepSetup
 from tepm_opt.control.mpc.compiled.step import CompiledStep
@@ -59,7 +60,8 @@ class Mpc:
         self.reference = self.setup.reference
         self._step = make_step(self.setup)
         self._markers = Markers(model.layout.point_names, reference.period)
-        self._fresh: Sample | None = None  # of which nobody has looked whether a point slipped
+        self._delay = MonitorDelay(self.setup.devices, reference.period)
+        self._fresh: tuple[Sample, Command] | None = None  # of which nobody has looked what is wrong with it
 
     def __repr__(self) -> str:
         steps = "C" if self.is_c else "Python"
@@ -92,8 +94,10 @@ class Mpc:
     def command(self, sample: Sample) -> Command:
         """Set points for a sample; never NaN, always within the limits. What `prepare` has not prepared is prepared first."""
         self._look()
-        self._fresh = self._markers.undo_slips(sample)
-        return self._step.feedback(self._fresh, self.settings.deadline)
+        taken = self._markers.undo_slips(sample)
+        command = self._step.feedback(replace(taken, pressures=None) if self._delay.late else taken, self.settings.deadline)
+        self._fresh = taken, command
+        return command
 
     def prepare(self) -> None:
         """Do what the next sample is not needed for, should it come a period after the last one; best as soon as a command is sent."""
@@ -102,14 +106,18 @@ class Mpc:
 
     def telemetry(self) -> Telemetry:
         """Estimate, quadratic program and moves of the last step, and doubts as of the last preparation."""
-        told, slipped = self._step.telemetry(), self._markers.describe_slips()
-        return replace(told, doubts={**told.doubts, **slipped}) if slipped else told
+        told, more = self._step.telemetry(), {**self._markers.describe_slips(), **self._delay.describe()}
+        return replace(told, doubts={**told.doubts, **more}) if more else told
 
     def _look(self) -> None:
-        """Look once whether a tracked point of the last sample has slipped."""
+        """Look once whether a tracked point of the last sample has slipped, or the pressure monitors are late."""
         if self._fresh is not None:
-            self._markers.look(self._fresh, self._step.noise)
-            self._fresh = None
+            (sample, command), self._fresh = self._fresh, None
+            self._markers.look(sample, self._step.noise)
+            if not self._delay.late:
+                self._delay.look(sample.time, sample.pressures, command.pressures)
+                if self._delay.late:
+                    self._step.distrust_monitors()
 
 
 def make_mpc(model: CompiledModel, reference: Reference, settings: ControllerSettings = DEFAULT) -> Mpc:

@@ -93,6 +93,12 @@ class PythonStep:
         self.last = replace(step, seconds=(time.perf_counter() - began, step.seconds[1]))
         return command
 
+    def distrust_monitors(self) -> None:
+        """See `ControlStep`."""
+        lags = self._state.actuators.lags
+        lags.noise = np.full(len(lags.noise), np.inf)
+        self._ready = None
+
     def telemetry(self) -> Telemetry:
         """See `ControlStep`."""
         step, state = self.last, self._state

@@ -71,6 +71,10 @@ class ControlStep(Protocol):
         """
         ...
 
+    def distrust_monitors(self) -> None:
+        """Believe no pressure monitor from now on; readings must not be given any more."""
+        ...
+
     def telemetry(self) -> Telemetry:
         """Record of the last step for the log, with noise and doubts as of the last preparation."""
         ...

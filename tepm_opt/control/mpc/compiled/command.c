@@ -314,6 +314,12 @@ void step_open(step *o, const settings *set, const course *way, linearise *modal
   }
 }
 
+/* No pressure monitor is believed from now on; readings must not be given any more. */
+void step_distrust_monitors(step *o) {
+  for (int j = 0; j < NA; j++) o->acts[0].noise[j] = o->acts[1].noise[j] = INFINITY;
+  o->ready = 0;
+}
+
 /* Does what the next sample is not needed for, should it come a period after the last one. Returns 0, or 1 where the network cannot be
    linearised about the reference. */
 int step_prepare(step *o) { return prepare(o, o->row + (o->samples > 0)); }

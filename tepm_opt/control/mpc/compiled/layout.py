@@ -17,7 +17,7 @@ from tepm_opt.models.compile import CompiledModel
 from tepm_opt.solvers.linear.modal_model import SWEEPS
 
 FILES = ("state.c", "points.c", "devices.c", "filter.c", "horizon.c", "program.c", "command.c")
-SYMBOLS = ("step_size", "step_outcome", "step_open", "step_prepare", "step_feedback", "step_point")
+SYMBOLS = ("step_size", "step_outcome", "step_open", "step_prepare", "step_feedback", "step_point", "step_distrust_monitors")
 ITERATIONS = 1000  # changes of the active set
 
 

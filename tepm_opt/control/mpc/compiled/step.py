@@ -60,6 +60,7 @@ class CompiledStep:
         takes = {"step_prepare": [p], "step_feedback": [p, d, d, p, p, p]}
         self._prepare, self._feedback = (ctypes.PYFUNCTYPE(ctypes.c_int, *kinds)(_address(library, name)) for name, kinds in takes.items())
         self._point = ctypes.PYFUNCTYPE(None, p, p)(_address(library, "step_point"))
+        self._distrust = ctypes.PYFUNCTYPE(None, p)(_address(library, "step_distrust_monitors"))
         memory = np.zeros(library.step_size() + ALIGNED, np.uint8)
         begin = -memory.ctypes.data % ALIGNED
         self._at = memory.ctypes.data + begin
@@ -183,6 +184,10 @@ class CompiledStep:
         named |= {"iterations": "iterations", "pressure_moves": "moves", "program_seconds": "seconds"}
         columns |= {name: part[what] for name, what in named.items()}
         return list(columns), itemgetter(*columns.values())
+
+    def distrust_monitors(self) -> None:
+        """See `ControlStep`."""
+        self._distrust(self._at)
 
     def telemetry(self) -> Telemetry:
         """See `ControlStep`; the program's time is that of the whole feedback."""
