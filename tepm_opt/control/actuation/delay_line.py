@@ -8,7 +8,13 @@ import numpy as np
 
 from tepm_opt.hw.rig import Command
 
+SLACK = 0.05  # of a period, by which a delay may be short of a whole one
 MOST_LATE = 8  # periods by which commands may act later than the robot file says
+
+
+def whole_periods(late: float, period: float) -> int:
+    """Whole control periods in a delay, both in s. A part of a period is left out: half a period too many costs more than a whole too few."""
+    return int(late / period + SLACK)
 
 
 class CommandDelayLine:

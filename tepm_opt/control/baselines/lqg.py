@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tepm_opt.control.actuation.actuators import Actuators, InputEffects
-from tepm_opt.control.actuation.delay_line import CommandDelayLine
+from tepm_opt.control.actuation.delay_line import CommandDelayLine, whole_periods
 from tepm_opt.control.actuation.pressure_planner import PressurePlanner, PressurePlannerSettings
 from tepm_opt.control.actuation.regulator_lags import RegulatorLags
 from tepm_opt.control.controller import ControllerKind, ControllerSettings, NoSettings, Telemetry, Value, own_settings
@@ -102,7 +102,7 @@ class Lqg:
         first = self.start()
         lags = RegulatorLags(self.devices, self.period, self._pressure_max, first.pressures)
         self._actuators = Actuators(self.devices, self.area, first, lags)
-        self._sent = CommandDelayLine(first, self.period, round((age + self.devices.delay) / self.period))
+        self._sent = CommandDelayLine(first, self.period, whole_periods(age + self.devices.delay, self.period))
         self._effects = InputEffects(model, np.concatenate([first.pressures, first.tensions]))
         self._at = self._stations[0]
         self._modes, self._actuated = len(self._at.operating.model.stiffness), half

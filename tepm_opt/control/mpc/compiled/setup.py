@@ -12,6 +12,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from tepm_opt.control.actuation.actuators import BELIEF, EXPLAINED, FARTHEST, LASTING, TELLING, WHOLE, InputEffects
+from tepm_opt.control.actuation.delay_line import whole_periods
 from tepm_opt.control.actuation.pressure_planner import PERIODS, PressurePlanner
 from tepm_opt.control.actuation.regulator_lags import (
     AT_ONCE,
@@ -103,7 +104,7 @@ class StepSetup:
         devices, tracker, period = Devices.from_model(model), robot.tracker, reference.period
         pressure_max, tension_max = robot.input_max[:half], robot.input_max[half:]
         late = (tracker.latency_s if tracker else 0.0) + devices.delay
-        ahead = round((late + computing) / period)  # the nearest: a whole period too many costs more than a part too few
+        ahead = whole_periods(late + computing, period)
         noise = max((tracker.noise_rms_m if tracker else 1e-3) / np.sqrt(3), 1e-6)
         first = _first_command(model, reference.forces[0], settings)
         start = modal_model(reference.equilibria[0]).scale_damping(settings.damping)
