@@ -13,7 +13,7 @@ MOST_LATE = 8  # periods by which commands may act later than the robot file say
 
 
 def whole_periods(late: float, period: float) -> int:
-    """Whole control periods in a delay, both in s. A part of a period is left out: half a period too many costs more than a whole too few."""
+    """Whole control periods in a delay, both in s. A part is left out: half a period too many costs more than one too few."""
     return int(late / period + SLACK)
 
 
