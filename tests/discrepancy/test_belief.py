@@ -30,7 +30,7 @@ SETTINGS = SearchSettings()
 def hypothesis(effects: tuple[Any, ...], excess: float) -> Hypothesis:
     counts = np.full(10, 100)
     problem = SimpleNamespace(runs=(SimpleNamespace(file="a.csv"), SimpleNamespace(file="b.csv")), free=())
-    estimate: Any = SimpleNamespace(cost=1000 * (1 + excess), count=1000, problem=problem, values=(), std=())
+    estimate: Any = SimpleNamespace(cost=1000 * (1 + excess), count=1000, problem=problem, values=(), std=(), at_bound=())
     return Hypothesis(effects, estimate, Evidence(counts * (1 + excess), counts, 1, np.zeros(1)))
 
 

@@ -32,7 +32,8 @@ def hypothesis(effects: Effects, excess: float, uneven: float = 0.0) -> Hypothes
     counts = np.full(BLOCKS, SAMPLES)
     squares = SAMPLES * (1 + excess + uneven * np.cos(np.arange(BLOCKS)) - uneven * np.cos(np.arange(BLOCKS)).mean())
     problem = SimpleNamespace(free=())
-    estimate: Any = SimpleNamespace(named={}, cost=float(squares.sum()), count=int(counts.sum()), out_of_reach=False, problem=problem)
+    counted = {"cost": float(squares.sum()), "count": int(counts.sum())}
+    estimate: Any = SimpleNamespace(named={}, **counted, out_of_reach=False, problem=problem, at_bound=())
     return Hypothesis(effects, estimate, Evidence(squares, counts, 1, np.zeros(1)))
 
 
