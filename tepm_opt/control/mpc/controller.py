@@ -60,7 +60,7 @@ class Mpc:
         self.reference = self.setup.reference
         self._step = make_step(self.setup)
         self._markers = Markers(model.layout.point_names, reference.period)
-        self._delay = MonitorDelay(self.setup.devices, reference.period)
+        self._delay = MonitorDelay(reference.period)
         self._fresh: tuple[Sample, Command] | None = None  # of which nobody has looked what is wrong with it
 
     def __repr__(self) -> str:
