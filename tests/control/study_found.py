@@ -1,4 +1,4 @@
-"""Does the model that a verdict finds steer better? `python -m tests.control.study_found FOLDER SEED COUNT [FIRST]` prints a line a machine.
+"""Does the model of a verdict steer better? `python -m tests.control.study_found FOLDER SEED COUNT [FIRST]` prints a line a machine.
 
 A random machine is recorded (`tepm record standard`), explained (`tepm discrepancy`), and driven on circle and lissajous with the nominal
 model, the model found, and that with the filter tuned on one more circle (`tepm tune`). Errors are those of the true tip in mm, rms, mean

@@ -15,7 +15,7 @@ import numpy as np
 DELAYS = (0.0, 0.03, 0.06, 0.09, 0.12, 0.18)  # s
 IN_TIME = 0.045  # s, up to which a delay is that of commands and line
 LAGS = (0.002, *np.geomspace(0.03, 1.0, 9))  # time constants in s, of filling and exhausting apart
-SURE = 200.0  # log-odds of all monitors together for a delay beyond that: at most 0 in 29 runs with monitors in time, 200 and more with late ones
+SURE = 200.0  # log-odds of all monitors together for a delay beyond that: below 0 in 29 runs with monitors in time, above with late ones
 FORGOTTEN = 3.0  # s over which readings count
 WATCHED = 4.0  # s of readings: what delays a line does not begin later, and real delays were found within 2.7 s
 EVERY = 10  # samples between looks
