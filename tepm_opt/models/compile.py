@@ -169,9 +169,15 @@ class CompiledModel:
         return (sum(float(constant) for constant, _ in found), sum(float(share) for _, share in found)) if found else None
 
     @cached_property
+    def pressure_hysteresis(self) -> float:
+        """Half the width of the muscles' hysteresis in Pa, by the effects that declare it; 0 without one."""
+        found = [half for _, kind, own in self._find_effects_with("hysteresis") if (half := kind.hysteresis(own)) is not None]
+        return sum(float(half) for half in found)
+
+    @cached_property
     def theta_without_devices(self) -> np.ndarray:
-        """Values of the parameters with every effect that declares a lag or friction of the tendons at its null values, (parameters,)."""
-        declared = [*self._find_effects_with("lag"), *self._find_effects_with("friction")]
+        """Values of the parameters where every lag, friction of tendons and hysteresis is at its null values, (parameters,)."""
+        declared = [each for hook in ("lag", "friction", "hysteresis") for each in self._find_effects_with(hook)]
         null = {f"{effect.label}.{p.name}": p.null for effect, kind, _ in declared for p in kind.parameters_of(self.layout)}
         return np.array([null.get(name, value) for name, value in self.values.items()])
 

@@ -302,6 +302,13 @@ class Effect:
         """
         return None
 
+    def hysteresis(self, parameters: Mapping[str, ca.SX]) -> ca.SX | None:
+        """Half the width in Pa, where this effect's pressure memory is hysteresis of the muscles; else None.
+
+        A controller foresees reversals by a hysteresis of its own, which begins with this width.
+        """
+        return None
+
     def delay(self, parameters: Mapping[str, ca.SX]) -> ca.SX:
         """Time in s by which all commands, and known forces where `delays_forces` says so, take effect late."""
         return ca.SX(0)

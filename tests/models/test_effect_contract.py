@@ -460,11 +460,13 @@ def test_what_it_declares_to_a_controller_vanishes_at_its_null_values(subject):
     assert (subject.compiled.pressure_lag not in still) == effect.has("lag")
     assert (subject.compiled.delays(np.array([10.0]))[0] != 0) == effect.has("delay")
     assert (subject.compiled.tendon_friction not in still) == effect.has("friction")
+    assert (subject.compiled.pressure_hysteresis not in still) == effect.has("hysteresis")
     assert subject.null.pressure_lag in still
     assert subject.null.tendon_friction in still
+    assert subject.null.pressure_hysteresis in still
     assert subject.null.command_delay in still
     assert subject.null.delays(np.array([10.0]))[0] == 0
-    without = subject.null if effect.has("lag") or effect.has("friction") else subject.compiled
+    without = subject.null if any(effect.has(hook) for hook in ("lag", "friction", "hysteresis")) else subject.compiled
     np.testing.assert_array_equal(subject.compiled.theta_without_devices, without.theta)
 
 

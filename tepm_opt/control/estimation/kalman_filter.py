@@ -36,7 +36,8 @@ class FilterSettings:
         friction_drift: intensity of its random walk in N/√s.
         reversal_noise: standard deviation of the unknown forces in N that one turn-over of the friction adds.
         presliding_distance: distance in m over which friction turns over (Dahl).
-        hysteresis_std: standard deviation of half the hysteresis before anything was seen, in N.
+        hysteresis: half the hysteresis before anything was seen, in N.
+        hysteresis_std: its standard deviation in N.
         hysteresis_drift: intensity of its random walk in N/√s.
         hysteresis_width: change of p A in N over which it turns over.
         load_share: part of the friction that is in proportion to the tension; the friction is meant at the tension's middle.
@@ -62,6 +63,7 @@ class FilterSettings:
     friction_drift: float = 0.5
     reversal_noise: float = 0.15
     presliding_distance: float = 5e-4
+    hysteresis: float = 0.0
     hysteresis_std: float = 0.5
     hysteresis_drift: float = 0.1
     hysteresis_width: float = 1.0
@@ -88,6 +90,10 @@ class FilterSettings:
             return self
         whole = friction[0] + friction[1] * middle
         return replace(self, friction=whole, friction_std=min(self.friction_std, whole / 2))
+
+    def with_hysteresis_prior(self, half: float) -> FilterSettings:
+        """Settings that begin with half the width of a model's hysteresis in N; unchanged where it has none."""
+        return replace(self, hysteresis=half, hysteresis_std=min(self.hysteresis_std, half / 2)) if half else self
 
     def without_tip(self) -> FilterSettings:
         """Settings while the tip is lost: muscles stay as they were learned, biases do not fade."""
@@ -255,7 +261,7 @@ class Estimator:
         self._motion, self._unknown, self._strength, self._friction, self._hysteresis, self._bias = parts
         self._modes, self._tip = modes, slice(ends[-1] - 3, ends[-1])
         self.mean = np.zeros(ends[-1])
-        self.mean[self._friction] = settings.friction
+        self.mean[self._friction], self.mean[self._hysteresis] = settings.friction, settings.hysteresis
         spread = np.zeros(ends[-1])
         spread[self._motion], spread[self._unknown], spread[self._friction] = 1e-2, 0.5, settings.friction_std
         spread[self._strength], spread[self._hysteresis] = settings.strength_std, settings.hysteresis_std

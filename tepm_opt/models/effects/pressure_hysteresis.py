@@ -43,6 +43,9 @@ class PressureHysteresis(Effect):
     def pressure_memory(self, pressure: ca.SX, rate: ca.SX, state: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> Play:
         return self._play(rate, rate > 0, parameters, context)
 
+    def hysteresis(self, parameters: Mapping[str, ca.SX]) -> ca.SX:
+        return parameters["width"] * (1 + parameters["falling_ratio"]) / 2
+
     def _play(self, rate: ca.SX, rising: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> Play:
         scales = ca.vertcat(*(ca.repmat(1 + by * parameters["spread"], context.layout.modules, rate.shape[1]) for by in WIDER))
         limit = parameters["width"] * scales / len(WIDER) * ca.if_else(rising, -1, parameters["falling_ratio"])

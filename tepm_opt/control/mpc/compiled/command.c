@@ -310,7 +310,7 @@ void step_open(step *o, const settings *set, const course *way, linearise *modal
     double spread = i < NX ? 1e-2 : i < STRENGTH ? 0.5 : i < FRICTION ? set->strength_std : i < HYSTERESIS ? set->friction_std
                     : i < BIAS ? set->hysteresis_std : i < NS - 3 ? set->bias_std : 1e-3;
     f->covariance[i][i] = spread * spread;
-    f->mean[i] = i >= FRICTION && i < HYSTERESIS ? set->friction : 0;
+    f->mean[i] = i < FRICTION || i >= BIAS ? 0 : i < HYSTERESIS ? set->friction : set->hysteresis;
   }
 }
 

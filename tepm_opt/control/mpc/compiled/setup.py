@@ -111,6 +111,7 @@ class StepSetup:
         believed = settings.filter or replace(FilterSettings(), **model.model.filter)
         filtering = believed.with_friction_prior(model.tendon_friction, settings.mid_range * float(tension_max[0]))
         planner = PressurePlanner(pressure_max, robot.actuation.pressure_step, settings.pressure_planner)
+        filtering = filtering.with_hysteresis_prior(model.pressure_hysteresis * model.values["A"])
         effects = InputEffects(model, np.concatenate([first.pressures, first.tensions]))
         return StepSetup(model, reference, settings, filtering, devices, planner, tension_max, ahead, noise, first, start, effects)
 
@@ -219,7 +220,7 @@ def told_of_settings(settings: MpcSettings, filtering: FilterSettings, period: f
     weights, planner = settings.weights, settings.pressure_planner
     same = (
         *("force_drift", "strength_std", "strength_drift", "friction", "friction_std", "friction_drift", "reversal_noise", "load_share"),
-        *("hysteresis_std", "hysteresis_drift", "bias_std", "bias_drift", "tip_bias_drift"),
+        *("hysteresis", "hysteresis_std", "hysteresis_drift", "bias_std", "bias_drift", "tip_bias_drift"),
         *("blind_force_drift", "blind_bias_drift"),
     )
     return {
