@@ -91,10 +91,6 @@ class FilterSettings:
         whole = friction[0] + friction[1] * middle
         return replace(self, friction=whole, friction_std=min(self.friction_std, whole / 2))
 
-    def with_hysteresis_prior(self, half: float) -> FilterSettings:
-        """Settings that begin with half the width of a model's hysteresis in N; unchanged where it has none."""
-        return replace(self, hysteresis=half, hysteresis_std=min(self.hysteresis_std, half / 2)) if half else self
-
     def without_tip(self) -> FilterSettings:
         """Settings while the tip is lost: muscles stay as they were learned, biases do not fade."""
         return replace(

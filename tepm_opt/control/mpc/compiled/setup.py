@@ -111,7 +111,8 @@ class StepSetup:
         believed = settings.filter or replace(FilterSettings(), **model.model.filter)
         filtering = believed.with_friction_prior(model.tendon_friction, settings.mid_range * float(tension_max[0]))
         planner = PressurePlanner(pressure_max, robot.actuation.pressure_step, settings.pressure_planner)
-        filtering = filtering.with_hysteresis_prior(model.pressure_hysteresis * model.values["A"])
+        if half := model.pressure_hysteresis * model.values["A"]:
+            filtering = replace(filtering, hysteresis=half, hysteresis_std=min(filtering.hysteresis_std, half / 2))
         effects = InputEffects(model, np.concatenate([first.pressures, first.tensions]))
         return StepSetup(model, reference, settings, filtering, devices, planner, tension_max, ahead, noise, first, start, effects)
 
