@@ -361,6 +361,24 @@ def test_friction_of_the_model_is_where_the_filter_starts_and_nothing_else(kang,
 
 
 @pytest.mark.slow
+def test_hysteresis_of_the_model_is_where_the_filter_starts_and_nothing_else(kang, short):
+    """Half of it, 10 kPa on the way up and 5 kPa on the way down, by the area; no force of it is held over the horizon."""
+    known = compile_model(kang.model.with_effect("pressure_hysteresis", width=1e4, distance=5e3, falling_ratio=0.5))
+    controller = Mpc(known, short)
+    half = 7.5e3 * known.values["A"]
+    assert controller.setup.filter == dataclasses.replace(FilterSettings(), hysteresis=half, hysteresis_std=half / 2)
+    assert not controller.setup.effects.forces.any()
+    sample = sample_at(short, 0, np.random.default_rng(1))
+    sample.points[:] = np.nan  # nothing is learned
+    controller.command(sample)
+    assert controller.last.estimate.hysteresis == pytest.approx(np.full(6, half))
+    driven = Mpc(known, short, PYTHON)
+    for row in range(40):
+        driven.command(sample_at(short, row, np.random.default_rng(1)))
+    assert not driven._step._state.effects.forces.any()
+
+
+@pytest.mark.slow
 def test_a_model_that_knows_the_friction_steers_no_worse():
     """As the library's effect was fitted to a prototype with nothing but that, two noises: 0.82 mm without it and 0.79 when written."""
     file = alone(("tendon_friction",))
