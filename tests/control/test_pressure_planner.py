@@ -259,21 +259,6 @@ def test_weaker_muscle_lacks_its_share():
     assert effects.forces == pytest.approx([0, 0, -0.1 * AREA * 3e5, 0, 0, 0])
 
 
-@pytest.mark.slow
-def test_hysteresis_trails_by_its_width():
-    """After a long way up the force lacks A · width, after the way back it has as much too much."""
-    width = 8e3
-    model = compile_model(NOMINAL.with_effect("pressure_hysteresis", width=width, distance=1e4), backend="python")
-    actuators = actuators_at(1e5, 3.0)
-    effects = InputEffects(model, np.concatenate([actuators.pressure, actuators.tension]))
-    assert effects.forces == pytest.approx(np.zeros(6))
-    for change, sign in ((1e3, -1), (-1e3, 1)):
-        for _ in range(150):  # ten times the distance of the widest play
-            actuators.pressure = actuators.pressure + change
-            effects.advance(actuators, 0.01)
-        assert effects.forces == pytest.approx(sign * AREA * width, rel=1e-3)
-
-
 def test_friction_turns_over_within_its_distance():
     """1 − 2 exp(−x / distance) after a reversal, however the way is cut into pieces; at rest it stays."""
     one = dahl_step(np.array([-1.0]), np.array([1e-3]), 5e-4)
