@@ -15,7 +15,7 @@ import numpy as np
 DELAYS = (0.0, 0.03, 0.06, 0.09, 0.12, 0.18)  # s
 IN_TIME = 0.045  # s, up to which a delay is that of commands and line
 LAGS = (0.002, *np.geomspace(0.03, 1.0, 9))  # time constants in s, of filling and exhausting apart
-SURE = 200.0  # log-odds of all monitors together for a delay beyond that: below 0 in 29 runs with monitors in time, above with late ones
+SURE = 200.0  # log-odds of all monitors together for a delay beyond that: at most 0 in 29 runs with monitors in time, above with late ones
 FORGOTTEN = 3.0  # s over which readings count
 WATCHED = 4.0  # s of readings: what delays a line does not begin later, and real delays were found within 2.7 s
 EVERY = 10  # samples between looks
@@ -40,8 +40,8 @@ class MonitorDelay:
         self._path = np.zeros(0)  # (delays, lags, monitors)
         self._count, self._means, self._products = 0, (np.zeros(0), np.zeros(0)), (np.zeros(0),) * 3
 
-    def look(self, time: float, readings: np.ndarray | None, command: np.ndarray) -> None:
-        """Take a sample's readings and the command that it led to.
+    def look(self, time: float, readings: np.ndarray | None, command: np.ndarray) -> bool:
+        """Take a sample's readings and the command that it led to; whether it shows that the monitors are late.
 
         Args:
             time: of the sample in s; after a gap everything begins anew.
@@ -49,15 +49,16 @@ class MonitorDelay:
             command: (actuators,) in Pa.
         """
         if self.late or readings is None or self._count * self._period > WATCHED:
-            return
+            return False
         if not 0.5 * self._period < time - self._time < 1.5 * self._period:
-            self._begin(readings)
+            self._restart(readings)
         else:
             self._compare(readings)
         self._time = time
         self._commands.appendleft(command)
         if self._count and self._count % EVERY == 0:
             self._decide()
+        return self.late > 0
 
     def describe(self) -> Mapping[str, str]:
         """Sentence where the monitors are late, by its key in the log."""
@@ -66,7 +67,7 @@ class MonitorDelay:
         text = f"pressures follow their commands {1e3 * self.late:.0f} ms later than a lag would let them"
         return {"pressure monitors": f"{text}: late monitors, or dead times of the regulators; the controller goes by the tracked points"}
 
-    def _begin(self, readings: np.ndarray) -> None:
+    def _restart(self, readings: np.ndarray) -> None:
         self._path = np.broadcast_to(readings, (len(self._delays), self._shares.shape[2], len(readings)))
         self._count, self._means, none = 0, (self._path, readings), np.zeros(self._path.shape)
         self._products = none, none, np.zeros(len(readings))

@@ -114,10 +114,8 @@ class Mpc:
         if self._fresh is not None:
             (sample, command), self._fresh = self._fresh, None
             self._markers.look(sample, self._step.noise)
-            if not self._delay.late:
-                self._delay.look(sample.time, sample.pressures, command.pressures)
-                if self._delay.late:
-                    self._step.distrust_monitors()
+            if self._delay.look(sample.time, sample.pressures, command.pressures):
+                self._step.distrust_monitors()
 
 
 def make_mpc(model: CompiledModel, reference: Reference, settings: ControllerSettings = DEFAULT) -> Mpc:
