@@ -22,7 +22,7 @@ EVERY = 10  # samples between looks
 
 
 class MonitorDelay:
-    """By how much all pressure monitors are late beside the regulators' lags.
+    """Delay of all pressure monitors beside the regulators' lags.
 
     Args:
         period: of the samples in s.
