@@ -112,6 +112,11 @@ def swing(run: Run) -> dict[str, np.ndarray]:
     return {"points": moved}
 
 
+def shake(run: Run) -> dict[str, np.ndarray]:
+    """A stand that moves by as much as `swing`, and robot and stand alike."""
+    return {"points": run.points + [0.01, 0.0, 0.0] * np.sin(2 * np.pi * 0.9 * run.time)[:, None, None]}
+
+
 CASES = {
     # dataset.toml
     "no dataset.toml": Case(lambda f: (f / TOML).unlink(), TOML, "has no dataset.toml", unreadable=True),
@@ -230,6 +235,7 @@ CASES = {
     "spikes": Case(points(lambda p: p[10::9, 2].__iadd__(0.08)), STEPS, "2.7 % of the run's samples stray", "s3"),
     "shift": Case(points(lambda p: p[200:, 3].__iadd__(0.06)), STEPS, "line 202: jumps by up to 10", "s4"),
     "not at rest": Case(values(swing), STEPS, "not at rest at the start: moves at", "s"),
+    "a stand that moves": Case(values(shake), STEPS, "all points move by as much: does its stand move?", "s", severity="warning"),
     "pasted": Case(points(lambda p: assign(p, slice(200, 240), p[100:140])), STEPS, "40 rows repeat the poses from line 102 on"),
     "the other run": Case(
         lambda f: (f / "other.csv").write_bytes((f / STEPS).read_bytes()), "other.csv", "the same positions as in steps.csv"

@@ -15,6 +15,9 @@ SPEED, ACCELERATION = 5.0, 50.0
 more quickly are allowed more."""
 SWAY = 0.01
 """Part of its height that a robot goes under steady inputs if it is not at rest; below, its stand may vibrate."""
+ALIKE = 0.5
+"""Part of the way of the point that goes farthest that all others go at least if the stand moves; the first points of a robot that sways go
+a quarter at most."""
 SHORT = 0.2
 """Part of a run for which a point may be frozen and the others still tell."""
 
@@ -48,7 +51,7 @@ def _rest(subject: Subject) -> Iterator[Finding]:
         )
         return
     time = (np.arange(rows) - (rows - 1) / 2) * subject.step
-    worst, name, speed, way = 1.0, "", 0.0, 0.0
+    worst, name, speed, ways = 1.0, "", 0.0, {}
     for k, point in enumerate(subject.channels.points):
         start = subject.points[:rows, k]
         seen = np.isfinite(start).all(axis=1) & ~subject.strays[:rows, k]
@@ -58,12 +61,16 @@ def _rest(subject: Subject) -> Iterator[Finding]:
         slopes = centred @ start[seen] / (centred @ centred)
         doubt = np.nan_to_num(subject.noise[k]) / np.sqrt(centred @ centred)
         excess = np.max(np.abs(slopes) / np.maximum(6 * doubt, 4e-3))
+        ways[point] = float(np.max(np.ptp(start[seen], axis=0) - 6 * np.nan_to_num(subject.noise[k])))
         if excess > worst:
             worst, name, speed = excess, point, float(np.linalg.norm(slopes))
-            way = float(np.max(np.ptp(start[seen], axis=0) - 6 * np.nan_to_num(subject.noise[k])))
     if name:
         message = f"not at rest at the start: moves at {1e3 * speed:.0f} mm/s under steady inputs"
-        yield subject.make_finding("error" if way > SWAY * _height(subject) else "warning", name, message, range(rows))
+        shaken = len(ways) > 2 and min(ways.values()) > ALIKE * max(ways.values())
+        message += "; all points move by as much: does its stand move?" if shaken else ""
+        yield subject.make_finding(
+            "error" if not shaken and ways[name] > SWAY * _height(subject) else "warning", name, message, range(rows)
+        )
 
 
 def _repeats(subject: Subject) -> Iterator[Finding]:
