@@ -123,6 +123,7 @@ def filter_inputs(model: CompiledModel, run: Run, progress: Progress = silent) -
         if row in samples:
             sample, command = samples[row]
             state.sent.take_time(sample.time)
+            state.actuators.command = state.sent.command_at(row)
             state.actuators.correct(sample, (row - last) * PERIOD)
             state.effects.advance(state.actuators, PERIOD)
             state.sent.send(sample.time, command)

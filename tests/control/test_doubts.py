@@ -20,6 +20,7 @@ from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.hw.simulation.rigfile import RigFile, load_rig_file
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.devices import Devices
+from tests.control.study import WIDE, prototype, reference
 from tests.control.study_valves import LateMonitors, with_lags
 
 NAMES = ("11", "12", "13")
@@ -75,7 +76,7 @@ def test_a_difference_is_told_once_it_stays() -> None:
 
 
 def test_a_noisy_monitor_is_told_and_not_believed() -> None:
-    """20 kPa in one of three within 0.5 s, while commands step by 20 kPa and one regulator has no lag; nothing of the others."""
+    """20 kPa in one of three within 0.5 s, while commands step by 20 kPa and one regulator has no lag; of the others only that."""
     devices, random = Devices(0.1, 0.1, np.inf, 0.0), np.random.default_rng(2)
     actuators = Actuators(devices, 5e-5, Command.from_inputs(np.full(6, 2e5)), RegulatorLags(devices, 0.01, np.full(3, 5e5), 2e5))
     doubts, noise, true = SensorDiagnostics(NAMES, (np.full(3, 5e5), np.full(3, 7.0))), TrackerNoise(6e-4), np.full(3, 2e5)
@@ -88,10 +89,11 @@ def test_a_noisy_monitor_is_told_and_not_believed() -> None:
         readings = true + np.array([2e4, 1e3, 1e3]) * random.normal(size=3)
         actuators.correct(Sample(0.01 * k, np.zeros((4, 3)), readings, np.zeros(3)), 0.01)
         told.append(told_now(doubts, actuators, noise, 0.0))
-    assert list(told[50]) == ["noise of monitor 11"]
+    assert list(told[50]) == ["noise of monitor 11", "regulator 13"]
     assert all("noise of monitor 12" not in each and "noise of monitor 13" not in each for each in told)
     assert actuators.lags.noise[0] == pytest.approx(2e4, rel=0.3)
-    assert actuators.lags.unmonitored.tolist() == [True, False, False]
+    assert actuators.lags.believed.tolist() == [False, True, True]
+    assert actuators.lags.unmonitored.tolist() == [True, False, True]  # that of the valve without a lag tells no more than the command
 
 
 def test_quick_regulators_without_monitors_are_told() -> None:
@@ -108,10 +110,21 @@ def test_quick_regulators_without_monitors_are_told() -> None:
     assert not told_now(doubts, actuators, noise, 0.0)
 
 
-def driven(kang: CompiledModel, short: Reference, file: RigFile) -> LoopRecord:
+def driven(kang: CompiledModel, short: Reference, file: RigFile, noise: int = 1) -> LoopRecord:
     rig = SimulatedRig(file)
-    rig.reseed(1)
+    rig.reseed(noise)
     return close_loop(rig, Mpc(kang, short), kang.robot)
+
+
+def mean_error(kang: CompiledModel, short: Reference, file: RigFile) -> float:
+    """Mean of three noises, from which errors of a second on the path depend much."""
+    return float(np.mean([driven(kang, short, file, noise).error() for noise in (1, 2, 3)]))
+
+
+@pytest.fixture(scope="module")
+def usual(kang: CompiledModel, short: Reference) -> float:
+    """Mean error with regulators as the file says."""
+    return mean_error(kang, short, load_rig_file())
 
 
 @pytest.mark.slow
@@ -138,15 +151,28 @@ def test_a_monitor_that_lies_teaches_no_lags(kang: CompiledModel, short: Referen
 @pytest.mark.slow
 @pytest.mark.parametrize("part", [0.4, 0.25, 0.08, 0.0])
 def test_regulators_quicker_than_the_file_says_are_learned_and_told(
-    kang: CompiledModel, short: Reference, followed: LoopRecord, part: float
+    kang: CompiledModel, short: Reference, usual: float, part: float
 ) -> None:
     """By a controller that took the file's word they threw the arm off its path."""
     file = load_rig_file()
     lag = file.imperfections.regulator_lag
     quick = lag.model_copy(update={"fill_s": part * lag.fill_s, "exhaust_s": part * lag.exhaust_s})
-    done = driven(kang, short, file.model_copy(update={"imperfections": file.imperfections.model_copy(update={"regulator_lag": quick})}))
-    assert done.error() < 1.5 * followed.error() + 2e-4
-    assert any(about.startswith("regulator") for about in done.telemetry[-1].doubts)
+    file = file.model_copy(update={"imperfections": file.imperfections.model_copy(update={"regulator_lag": quick})})
+    assert mean_error(kang, short, file) < 1.5 * usual + 2e-4
+    assert any(about.startswith("regulator") for about in driven(kang, short, file).telemetry[-1].doubts)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [0, 17])
+def test_valves_without_a_lag_keep_a_late_machine_on_its_path(kang: CompiledModel, number: int) -> None:
+    """Monitors read a part of a period early beside its tracked points; they were called noisy, and the arm was thrown 11 and 27 mm off."""
+    file = random_machine("kang2017", 95001, number)
+    lag = file.imperfections.regulator_lag.model_copy(update={"fill_s": 0.0, "exhaust_s": 0.0})
+    file = file.model_copy(update={"imperfections": file.imperfections.model_copy(update={"regulator_lag": lag})})
+    done = close_loop(prototype(1, file), Mpc(kang, reference("circle", known=kang)), kang.robot, WIDE)
+    assert done.error() < 4e-3
+    assert any("times as quickly" in text for text in done.telemetry[-1].doubts.values())
+    assert not any(about.startswith("noise of monitor") for about in done.telemetry[-1].doubts)
 
 
 def with_monitors(file: RigFile, **values: object) -> RigFile:
@@ -156,15 +182,13 @@ def with_monitors(file: RigFile, **values: object) -> RigFile:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("part", [0.25, 0.0])
-def test_quick_regulators_without_monitors_keep_to_the_path(
-    kang: CompiledModel, short: Reference, followed: LoopRecord, part: float
-) -> None:
+def test_quick_regulators_without_monitors_keep_to_the_path(kang: CompiledModel, short: Reference, usual: float, part: float) -> None:
     """From tracked points alone; with the file's lags they threw the arm off its path, or made it sway."""
     file = with_monitors(load_rig_file(), fitted=False)
     lag = file.imperfections.regulator_lag
     quick = lag.model_copy(update={"fill_s": part * lag.fill_s, "exhaust_s": part * lag.exhaust_s})
-    done = driven(kang, short, file.model_copy(update={"imperfections": file.imperfections.model_copy(update={"regulator_lag": quick})}))
-    assert done.error() < 1.8 * followed.error() + 2e-4
+    file = file.model_copy(update={"imperfections": file.imperfections.model_copy(update={"regulator_lag": quick})})
+    assert mean_error(kang, short, file) < 1.8 * usual + 2e-4
 
 
 @pytest.mark.slow

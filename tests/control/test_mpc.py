@@ -15,6 +15,7 @@ from tepm_opt.control.mpc.controller import Mpc, MpcSettings, Use
 from tepm_opt.control.mpc.prediction import PredictionModel, Weights
 from tepm_opt.control.mpc.qp import QpResult
 from tepm_opt.control.references.reference import Reference
+from tepm_opt.errors import InputError
 from tepm_opt.hw.commands import check_command
 from tepm_opt.hw.rig import Command, Sample
 from tepm_opt.jobs.closed_loop import ClosedLoop, LoopSetup
@@ -386,3 +387,8 @@ def test_a_model_that_knows_the_friction_steers_no_worse():
     without, knowing = (error(file, compile_model(model), (31, 32)) for model in (Model.from_robot(ROBOT), known))
     assert knowing <= 1.05 * without
     assert without < 1.2
+
+
+def test_pressures_are_planned_over_the_whole_horizon() -> None:
+    with pytest.raises(InputError, match=r"pressure_planner.preview: 13 stages; valid: at least the 15 of the horizon"):
+        MpcSettings(pressure_planner=PressurePlannerSettings(preview=13))

@@ -54,7 +54,7 @@ def both(model: CompiledModel, reference: Reference, settings: MpcSettings) -> t
 def compared(
     pair: tuple[Mpc, Mpc], samples: Iterator[Sample], prepares: bool = True, plan: float = PLANNED, close: float = CLOSE
 ) -> list[Command]:
-    """Feeds both with the same samples and checks that they do the same, tensions within `close` and later stages of the plan within
+    """Feeds both with the same samples and checks that they do the same, tensions and frictions within `close`, later stages within
     `plan` in N; the commands."""
     c, python = pair
     commands = []
@@ -68,7 +68,7 @@ def compared(
         step, twin = c.last, python.last
         assert (step.period, step.moves, step.outcome.ending) == (twin.period, twin.moves, twin.outcome.ending)
         np.testing.assert_allclose(step.estimate.points, twin.estimate.points, rtol=0, atol=CLOSE)
-        np.testing.assert_allclose(step.estimate.friction, twin.estimate.friction, rtol=0, atol=CLOSE)
+        np.testing.assert_allclose(step.estimate.friction, twin.estimate.friction, rtol=0, atol=close)
         np.testing.assert_allclose(step.estimate.deviation, twin.estimate.deviation, rtol=0, atol=CLOSE)
         assert (step.estimate.refused == twin.estimate.refused).all()
         np.testing.assert_allclose(step.plan, twin.plan, rtol=0, atol=plan)
@@ -242,8 +242,9 @@ def test_the_same_on_other_robots(robot, compiler):
     samples = [
         Sample(0.01 * k, at + 8e-4 * random.normal(size=at.shape) + 0.02 * (k > 30)) for k, at in enumerate(places)
     ]  # fmt: skip
-    # without monitors the lags' factor is learned, by a factor of the innovations' covariance in C, by a solution in Python
-    commands = compared(both(model, reference, MpcSettings()), iter(samples), close=3 * CLOSE)
+    # without monitors the lags' factor is learned, by a factor of the innovations' covariance in C, by a solution in Python; then programs
+    # of far references are as near to singular as above
+    commands = compared(both(model, reference, MpcSettings()), iter(samples), close=1e-8)
     assert np.ptp([command.tensions for command in commands], axis=0).min() > 0.1
 
 

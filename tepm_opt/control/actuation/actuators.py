@@ -83,12 +83,17 @@ class Actuators:
         return self.lags.lag(pressure, command.pressures), np.where(command.enabled, wound, 0.0)  # off, a motor lets go at once
 
     def correct(self, sample: Sample, passed: float) -> None:
-        """Take what the rig measures of pressures and tensions, where it does, a time in s after the last sample."""
+        """Take what the rig measures of pressures and tensions, where it does, a time in s after the last sample.
+
+        Monitors may read a period early or late beside the tracked points, which matters where valves are quick.
+        """
         share = 1 - math.exp(-passed / LASTING)
         pressure, tension = self._told
+        timing = self.lags.timing_error(self.command.pressures)
         if sample.pressures is not None:
-            self.lags.correct(np.asarray(sample.pressures, dtype=float), passed)
-        self.pressure_offset = self.pressure_offset + share * _subtract_expected(sample.pressures, pressure + self.pressure_offset)
+            self.lags.correct(np.asarray(sample.pressures, dtype=float), passed, timing)
+        off = _beyond(_subtract_expected(sample.pressures, pressure + self.pressure_offset), timing)
+        self.pressure_offset = self.pressure_offset + share * off
         read = _subtract_expected(sample.tensions, tension + self.tension_offset)
         missed = np.minimum(np.maximum(read, -FARTHEST), FARTHEST)
         self.tension_offset = self.tension_offset + (read - missed) + share * missed
@@ -97,9 +102,9 @@ class Actuators:
             self._late = (1 - share) * self._late - passed * float(missed[there] @ self._rate[there])
             self._weight = (1 - share) * self._weight + passed * float(self._rate[there] @ self._rate[there])
             self._spread = (1 - share) * self._spread + passed * float(missed[there] @ missed[there])
-        blended = _blend_with_measured(self.pressure, sample.pressures, self.pressure_offset)
-        self.pressure = np.where(self.lags.noisy, self.pressure, blended)
-        corrected = _blend_with_measured(self.tension, sample.tensions, self.tension_offset)
+        off = _beyond(_subtract_expected(sample.pressures, self.pressure + self.pressure_offset), timing)
+        self.pressure = np.where(self.lags.unmonitored, self.pressure, np.maximum(self.pressure + BELIEF * off, 0.0))
+        corrected = np.maximum(self.tension + BELIEF * _subtract_expected(sample.tensions, self.tension + self.tension_offset), 0.0)
         self.tension = np.where(np.abs(self.tension_offset) > FARTHEST, self.tension, corrected)
 
     @property
@@ -122,9 +127,9 @@ def _subtract_expected(measured: np.ndarray | None, expected: np.ndarray) -> np.
     return np.zeros(len(expected)) if measured is None else np.nan_to_num(np.asarray(measured) - expected, nan=0.0, posinf=0.0, neginf=0.0)
 
 
-def _blend_with_measured(believed: np.ndarray, measured: np.ndarray | None, offset: np.ndarray) -> np.ndarray:
-    """Move believed values towards measured ones less the gauges' offsets, where there are any, (actuators,) each; never below zero."""
-    return np.maximum(believed + BELIEF * _subtract_expected(measured, believed + offset), 0.0)
+def _beyond(off: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """Part of differences that exceeds a possible error, (actuators,) each."""
+    return np.copysign(np.maximum(np.abs(off) - error, 0.0), off)
 
 
 class InputEffects:

@@ -40,7 +40,7 @@ class PressurePlannerSettings:
     deadband: float = 3.0
     slow_lag: float = 0.06
     quantised: bool = True
-    full_feedback_speed: float = 0.1
+    full_feedback_speed: float = 0.2
     feedback_time: float = 0.05
     disturbance_time: float = 0.3
 

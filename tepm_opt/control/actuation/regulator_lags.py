@@ -4,7 +4,8 @@ A regulator brings its pressure nearer to the command by a share of what is miss
 while it exhausts. The logarithms of both, and what the monitor reads too much, are found by an extended Kalman filter on the pressures
 that commands alone lead to (Ljung, System Identification, 2nd ed., 1999, section 11.4). It begins with the robot file's lags and a doubt
 about them. The file's lags stay where readings do not fit what was learned: a monitor that lies must not throw the arm. Without a monitor,
-or with one that is noisy, they are multiplied by a factor that others may find (see `mpc.lag_factor`).
+or with one that is noisy, they are multiplied by a factor that others may find (see `mpc.lag_factor`); so are lags that a monitor shows to
+be shorter than a period: its readings then tell more of when they were taken.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ OFFSET = 0.03  # of the pressure range: 1 sigma of what a monitor reads too much
 KNOWN = 0.25  # 1 sigma of the logarithm up to which a lag counts as known
 NOISY_MONITOR = 0.008  # of the pressure range: noise of a monitor, 1 sigma, beyond which it is not believed
 MOVING_RANGE = 2 / math.sqrt(math.pi)  # mean absolute difference of two readings with noise of 1 sigma each
+AS_COMMANDED = 0.86  # share of what is missing in a period from which a reading tells nothing but when it was taken: lags of 5 ms
 AT_ONCE = 1e-9  # left of a difference after a period, by a regulator without lag
 
 
@@ -76,6 +78,7 @@ class RegulatorLags:
         self.covariance = np.eye(3)[:, :, None] * doubts
         self._slope = np.vstack([np.zeros((2, count)), np.ones(count)])  # of the readings, by commands alone
         self._path = np.zeros(count) + pressure  # by commands alone, with the lags as learned
+        self._rise = self._turned = np.zeros(count)  # of the path in its last period, and its change from the period before
         self._most = (MISFIT * ranges) ** 2
         self._misfit = 2 * self._most  # mean square
         self._off, self.noise, self._noisy = np.full(count, np.nan), np.zeros(count), NOISY_MONITOR * ranges
@@ -87,9 +90,14 @@ class RegulatorLags:
         return self.noise > self._noisy
 
     @property
+    def believed(self) -> np.ndarray:
+        """Whether a monitor has read something and is not too noisy, (actuators,) of bool."""
+        return ~(np.isnan(self._off) | self.noisy)
+
+    @property
     def unmonitored(self) -> np.ndarray:
-        """Whether a regulator has no monitor that has read anything, or a noisy one, (actuators,) of bool."""
-        return np.isnan(self._off) | self.noisy
+        """Whether no monitor of a regulator is believed, or it shows that the valve is quick, (actuators,) of bool."""
+        return ~self.believed | (self.shares.min(axis=0) > AS_COMMANDED)
 
     @property
     def used(self) -> np.ndarray:
@@ -114,13 +122,14 @@ class RegulatorLags:
     @property
     def quicker(self) -> np.ndarray:
         """Declared time constants over those found, filling and exhausting, (2, actuators); 1 where they are not known well."""
-        known = (np.diagonal(self.covariance).T[:2] < KNOWN**2) & ~self.unmonitored
-        return np.where(known, np.log1p(-self.used) / np.log1p(-self._declared), 1.0)
+        known = (np.diagonal(self.covariance).T[:2] < KNOWN**2) & self.believed
+        found = np.where(self.unmonitored, self.shares, self.used)
+        return np.where(known, np.log1p(-found) / np.log1p(-self._declared), 1.0)
 
     @property
     def findings(self) -> RegulatorFindings:
         """Differences from the robot file, as diagnostics take them."""
-        common = 1 / self.lead_factor if self.unmonitored.any() else 1.0
+        common = 1.0 if self.believed.all() else 1 / self.lead_factor
         return RegulatorFindings(self.quicker, np.where(self.noisy, self.noise, 0.0), common)
 
     def lag(self, pressure: np.ndarray, command: np.ndarray, periods: int = 1) -> np.ndarray:
@@ -134,21 +143,34 @@ class RegulatorLags:
         filling = missing > 0
         share = np.where(filling, *self.shares)
         self._slope = np.vstack([(1 - share) * self._slope[:2] + share * missing * np.array([filling, ~filling]), np.ones(len(command))])
-        self._path = command - missing * (1 - share)
+        before, self._rise, self._path = self._rise, share * missing, command - missing * (1 - share)
+        self._turned = np.abs(self._rise - before)
 
-    def correct(self, readings: np.ndarray, passed: float) -> None:
-        """Take readings of the monitors, (actuators,) in Pa, NaN where there is none, a time in s after the last ones."""
+    def timing_error(self, command: np.ndarray) -> np.ndarray:
+        """What readings miss that are a period early or late, with a command (actuators,) in Pa in force, likewise."""
+        missing = command - self._path
+        return np.maximum(self._turned, np.abs(np.where(missing > 0, *self.shares) * missing - self._rise))
+
+    def correct(self, readings: np.ndarray, passed: float, timing_error: np.ndarray | float = 0.0) -> None:
+        """Take readings of the monitors.
+
+        Args:
+            readings: (actuators,) in Pa, NaN where there is none.
+            passed: time in s since the last ones.
+            timing_error: part of what they miss that tells of no lag, (actuators,) in Pa.
+        """
         measured = np.isfinite(readings)
         covariance = self.covariance + measured * passed * DRIFT**2 * np.diag([1.0, 1.0, 0.0])[:, :, None]
         seen = np.einsum("ijn,jn->in", covariance, self._slope)
         off = np.where(measured, readings - self._path - self.offset, 0.0)
         gain = measured * seen / (self._noise + np.einsum("in,in->n", self._slope, seen))
-        new = np.abs(off - self._off)
+        new = np.maximum(np.abs(off - self._off) - timing_error, 0.0)
         again = measured & np.isfinite(new)
         self.noise = self.noise + (1 - math.exp(-passed / FORGOTTEN)) * np.where(again, new / MOVING_RANGE - self.noise, 0.0)
         self._off = np.where(measured, off, self._off)
         self.covariance = covariance - gain[:, None] * seen[None]
-        self._misfit = self._misfit + measured * (1 - math.exp(-passed / FORGOTTEN)) * (off**2 - self._misfit)
+        missed = np.maximum(np.abs(off) - timing_error, 0.0)
+        self._misfit = self._misfit + measured * (1 - math.exp(-passed / FORGOTTEN)) * (missed**2 - self._misfit)
         moved = gain * off
         moved[:2] = np.minimum(np.maximum(moved[:2], -JUMP), JUMP)
         self.offset = self.offset + moved[2]

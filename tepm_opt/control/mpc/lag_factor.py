@@ -27,6 +27,7 @@ FIRST = 0.5  # factor before anything was seen
 FACTOR_STD = 0.7  # its 1 sigma then
 FACTOR_DRIFT = 0.05  # of it in 1/√s: how fast regulators change
 LEAST_FACTOR, MOST_FACTOR = 0.05, 2.5  # bounds of the estimate; the least is at once, but for a period
+QUICK_FACTOR = 0.25  # the most where monitors show quick valves
 MOST_MOVE = 0.3  # most by which a sample moves it
 COLOURED = 3.0  # times the innovations' covariance that is reckoned with: what friction leaves of them is not white
 CAUTION = 2.0  # standard deviations by which pressures lead less
@@ -88,7 +89,8 @@ class LagFactor:
         gain = variance / (1 + variance * float(seen @ weighed))
         moved = min(max(gain * float(weighed @ found.innovation), -MOST_MOVE), MOST_MOVE)
         before, self.variance = self.value, gain
-        self.value = min(max(before + moved, LEAST_FACTOR), MOST_FACTOR)
+        longest = QUICK_FACTOR if (actuators.lags.believed & actuators.lags.unmonitored).any() else MOST_FACTOR
+        self.value = min(max(before + moved, LEAST_FACTOR), longest)
         self._by_state = self._by_state - found.gain @ seen
         estimator.mean = estimator.mean + (self.value - before) * self._by_state
         actuators.shift_pressures((self.value - before) * self._by_pressure)

@@ -84,6 +84,7 @@ class PythonStep:
         self._ready, state.taken = None, sample
         passed, state.row = row - state.row, row
         state.estimator, state.actuators, state.lag_factor = ready.estimator, ready.actuators, ready.lag_factor
+        state.actuators.command = state.sent.command_at(row)
         state.actuators.correct(sample, passed * self._setup.reference.period)
         state.effects.advance(state.actuators, self._setup.reference.period)
         estimate = state.estimator.update(sample.points)

@@ -12,7 +12,7 @@ from tepm_opt.control.actuation.pressure_planner import PressurePlannerSettings
 from tepm_opt.control.controller import Option
 from tepm_opt.control.estimation.kalman_filter import FilterSettings
 from tepm_opt.control.mpc.prediction import Weights
-from tepm_opt.errors import unknown_name
+from tepm_opt.errors import InputError, unknown_name
 
 DAMPING = 1.5  # times the model's: dry friction of body and tendons takes from sway what a linear model does not have
 
@@ -55,6 +55,16 @@ class MpcSettings:
     deadline: float = math.inf
     computing: float | None = 0.0
     backend: Literal["auto", "c", "python"] = "auto"
+
+    def __post_init__(self) -> None:
+        """Check that pressures are planned over the whole horizon.
+
+        Raises:
+            InputError: they are not.
+        """
+        if self.pressure_planner.preview < self.stages:
+            told = f"pressure_planner.preview: {self.pressure_planner.preview}"
+            raise InputError(f"{told} stages; valid: at least the {self.stages} of the horizon")
 
     @property
     def asked(self) -> dict[str, Option]:

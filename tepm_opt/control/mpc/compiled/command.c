@@ -37,14 +37,15 @@ static void note(step *o) {
     o->out.lasting_pressure[j] = fabs(a->offset.pressure[j]) > s->pressure_off[j] ? o->out.lasting_pressure[j] + 1 : 0;
   }
   for (int k = 0; k < 2 * NA; k++) { /* times that are declared over those found */
-    double share = share_of(o, a, k % NA, k / NA), declared = k < NA ? s->filling : s->exhausting;
-    int known = a->covariance[k / NA][k / NA][k % NA] < s->lag_known * s->lag_known && !is_unmonitored(o, a, k % NA);
+    int exhausts = k / NA, j = k % NA, known = a->covariance[exhausts][exhausts][j] < s->lag_known * s->lag_known && is_believed(o, a, j);
+    double share = is_unmonitored(o, a, j) ? a->share[exhausts][j] : share_of(o, a, j, exhausts);
+    double declared = exhausts ? s->exhausting : s->filling;
     o->out.quicker[k] = known ? log1p(-share) / log1p(-declared) : 1;
   }
   o->out.common[0] = 1;
   for (int j = 0; j < NA; j++) {
     o->out.monitor_noise[j] = is_noisy(o, a, j) ? a->noise[j] : 0;
-    if (is_unmonitored(o, a, j)) o->out.common[0] = 1 / a->lead_factor;
+    if (!is_believed(o, a, j)) o->out.common[0] = 1 / a->lead_factor;
   }
   o->out.late[0] = (o->ahead - o->declared) * s->period + lateness(o, a);
   if (o->samples >= NOISE_WINDOW && o->samples % NOISE_EVERY == 0)
@@ -339,7 +340,7 @@ int step_feedback(step *o, double time, double deadline, const double *points, c
   o->ready = 0;
   filter *f = &o->filters[o->now];
   actuators *a = &o->acts[o->now];
-  take_gauges(o, a, pressures, tensions, passed);
+  take_gauges(o, a, pressures, tensions, passed, acting(o, o->row));
   affect(o, a);
   correct(o, f, &o->to_do, points);
   o->corrected = 1;

@@ -2,7 +2,12 @@
 
 static int is_noisy(const step *o, const actuators *a, int j) { return a->noise[j] > o->set.monitor_noisy[j]; }
 
-static int is_unmonitored(const step *o, const actuators *a, int j) { return isnan(a->off[j]) || is_noisy(o, a, j); }
+static int is_believed(const step *o, const actuators *a, int j) { return !isnan(a->off[j]) && !is_noisy(o, a, j); }
+
+/* Whether the factor tells more of a regulator than a monitor: none is believed, or it shows that valves are quick. */
+static int is_unmonitored(const step *o, const actuators *a, int j) {
+  return !is_believed(o, a, j) || least(a->share[0][j], a->share[1][j]) > o->set.as_commanded;
+}
 
 /* Lets regulators without monitors go by a factor on their declared lags. */
 static void set_factor(const step *o, actuators *a, double factor, double variance) {
@@ -62,19 +67,28 @@ static void slope(actuators *a, const devices *command) {
 /* What commands alone make of pressures in a period, with the lags as learned. */
 static void follow(actuators *a, const devices *command) {
   for (int j = 0; j < NA; j++) {
-    double missing = command->pressure[j] - a->path[j];
-    a->path[j] = command->pressure[j] - missing * (1 - a->share[!(missing > 0)][j]);
+    double missing = command->pressure[j] - a->path[j], share = a->share[!(missing > 0)][j], before = a->rise[j];
+    a->path[j] = command->pressure[j] - missing * (1 - share);
+    a->rise[j] = share * missing;
+    a->turned[j] = fabs(a->rise[j] - before);
   }
 }
 
+/* What readings miss that are a period early or late, with a command in force. */
+static double timing_error(const actuators *a, int j, const devices *command) {
+  double missing = command->pressure[j] - a->path[j];
+  return most(a->turned[j], fabs(a->share[!(missing > 0)][j] * missing - a->rise[j]));
+}
+
 /* What a reading says of a regulator's lags, and with them of its pressure by commands alone. */
-static void learn(const step *o, actuators *a, int j, double measured, double passed) {
+static void learn(const step *o, actuators *a, int j, double measured, double passed, double timing) {
   const settings *s = &o->set;
   double by[3] = {a->slope[0][j], a->slope[1][j], 1}, seen[3] = {0}, all = s->lag_noise[j] * s->lag_noise[j];
   double missed = measured - a->path[j] - a->offset_path[j];
-  a->misfit[j] += (1 - exp(-passed / s->lag_forgotten)) * (missed * missed - a->misfit[j]);
-  double apart = fabs(missed - a->off[j]) / s->moving_range; /* NaN before the second reading */
-  if (isfinite(apart)) a->noise[j] += (1 - exp(-passed / s->lag_forgotten)) * (apart - a->noise[j]);
+  double beside = most(fabs(missed) - timing, 0), first = fabs(missed - a->off[j]); /* NaN before the second reading */
+  double apart = most(first - timing, 0) / s->moving_range;
+  a->misfit[j] += (1 - exp(-passed / s->lag_forgotten)) * (beside * beside - a->misfit[j]);
+  if (isfinite(first)) a->noise[j] += (1 - exp(-passed / s->lag_forgotten)) * (apart - a->noise[j]);
   a->off[j] = missed;
   for (int i = 0; i < 2; i++) a->covariance[i][i][j] += passed * s->lag_drift * s->lag_drift;
   for (int i = 0; i < 3; i++) for (int k = 0; k < 3; k++) seen[i] += a->covariance[i][k][j] * by[k];
@@ -130,18 +144,22 @@ static double missed(const double *measured, int j, double expected) {
   return isfinite(off) ? off : 0;
 }
 
-static void take_gauges(const step *o, actuators *a, const double *pressures, const double *tensions, double passed) {
+/* Part of a difference that exceeds a possible error. */
+static double beyond(double off, double error) { return copysign(most(fabs(off) - error, 0), off); }
+
+static void take_gauges(const step *o, actuators *a, const double *pressures, const double *tensions, double passed, const devices *command) {
   double share = 1 - exp(-passed / o->set.lasting), by = 0, squares = 0, spread = 0;
   for (int j = 0; j < NA; j++) {
-    if (pressures && isfinite(pressures[j])) learn(o, a, j, pressures[j], passed);
-    double pressure = missed(pressures, j, a->told.pressure[j] + a->offset.pressure[j]);
+    double timing = timing_error(a, j, command);
+    if (pressures && isfinite(pressures[j])) learn(o, a, j, pressures[j], passed, timing);
+    double pressure = beyond(missed(pressures, j, a->told.pressure[j] + a->offset.pressure[j]), timing);
     double read = missed(tensions, j, a->told.tension[j] + a->offset.tension[j]);
     double tension = fmin(fmax(read, -o->set.farthest), o->set.farthest);
     a->offset.pressure[j] += share * pressure;
     a->offset.tension[j] += read - tension + share * tension;
     if (tensions && isfinite(tensions[j])) { by += tension * a->rate[j]; squares += a->rate[j] * a->rate[j]; spread += tension * tension; }
-    if (!is_noisy(o, a, j))
-      a->now.pressure[j] = most(a->now.pressure[j] + o->set.belief * missed(pressures, j, a->now.pressure[j] + a->offset.pressure[j]), 0);
+    double off = beyond(missed(pressures, j, a->now.pressure[j] + a->offset.pressure[j]), timing);
+    if (!is_unmonitored(o, a, j)) a->now.pressure[j] = most(a->now.pressure[j] + o->set.belief * off, 0);
     if (fabs(a->offset.tension[j]) > o->set.farthest) continue;
     a->now.tension[j] = most(a->now.tension[j] + o->set.belief * missed(tensions, j, a->now.tension[j] + a->offset.tension[j]), 0);
   }

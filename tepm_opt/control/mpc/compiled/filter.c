@@ -151,7 +151,9 @@ static void learn_factor(const step *o, filter *f, actuators *a, const correctio
   }
   double variance = a->factor_variance + s->period * s->factor_drift * s->factor_drift, gain = variance / (1 + variance * squares);
   double before = a->factor, moved = within(gain * both, -s->factor_move, s->factor_move);
-  set_factor(o, a, within(before + moved, s->factor_least, s->factor_most), gain);
+  double longest = s->factor_most;
+  for (int j = 0; j < NA; j++) if (is_believed(o, a, j) && is_unmonitored(o, a, j)) longest = s->factor_quick;
+  set_factor(o, a, within(before + moved, s->factor_least, longest), gain);
   moved = a->factor - before;
   for (int i = 0; i < NS; i++) f->mean[i] += moved * f->by_factor[i];
   for (int j = 0; j < NA; j++) {

@@ -15,6 +15,7 @@ from tepm_opt.control.actuation.actuators import BELIEF, EXPLAINED, FARTHEST, LA
 from tepm_opt.control.actuation.delay_line import whole_periods
 from tepm_opt.control.actuation.pressure_planner import PERIODS, PressurePlanner
 from tepm_opt.control.actuation.regulator_lags import (
+    AS_COMMANDED,
     AT_ONCE,
     DOUBT,
     DRIFT,
@@ -41,6 +42,7 @@ from tepm_opt.control.mpc.lag_factor import (
     LEAST_FACTOR,
     MOST_FACTOR,
     MOST_MOVE,
+    QUICK_FACTOR,
 )
 from tepm_opt.control.mpc.prediction import NOTHING, RIDGE
 from tepm_opt.control.mpc.settings import MpcSettings, Use
@@ -204,11 +206,12 @@ def told_of_devices(devices: Devices, planner: PressurePlanner, period: float, t
     filling, exhausting = lags.shares[:, 0].tolist()
     return {
         "period": period, "filling": filling, "exhausting": exhausting, "lag_variance": DOUBT**2, "lag_drift": DRIFT,
-        "lag_least": LEAST, "lag_noise": READING * planner.limits, "at_once": AT_ONCE, "lag_known": KNOWN,
+        "lag_least": LEAST, "lag_noise": READING * planner.limits, "at_once": AT_ONCE, "as_commanded": AS_COMMANDED, "lag_known": KNOWN,
         "lag_misfit": MISFIT * planner.limits, "lag_jump": JUMP, "lag_forgotten": FORGOTTEN,
         "lag_offset": OFFSET * planner.limits, "monitor_noisy": NOISY_MONITOR * planner.limits, "moving_range": MOVING_RANGE,
         "factor_first": FIRST, "factor_std": FACTOR_STD, "factor_drift": FACTOR_DRIFT, "factor_least": LEAST_FACTOR,
-        "factor_most": MOST_FACTOR, "factor_move": MOST_MOVE, "factor_coloured": COLOURED, "factor_caution": CAUTION,
+        "factor_most": MOST_FACTOR, "factor_quick": QUICK_FACTOR,
+        "factor_move": MOST_MOVE, "factor_coloured": COLOURED, "factor_caution": CAUTION,
         "pull": rate * period, "pull_stage": PERIODS * rate * period,
         "pressure_max": planner.limits, "grid": planner.step, "tension_max": tension_max,
         "belief": BELIEF, "lasting": LASTING, "telling": TELLING, "whole": WHOLE, "explained": EXPLAINED,
