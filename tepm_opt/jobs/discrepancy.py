@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from tepm_opt.control.estimation.filter_tuning import levels_of_explained
 from tepm_opt.data.checks.dataset import check_reading
 from tepm_opt.data.checks.findings import Finding
 from tepm_opt.data.datasets import DataSet, write_dataset
@@ -165,7 +166,8 @@ def _explain_robot(asked: Asked, seed: int, limit: TimeLimit, progress: Progress
     result = discover(dataset, network, noise, earlier, options, progress)
     if not result.verdict.setup:
         checked_datasets(folders, asked.despite_errors)  # refuses errors of the set-up that the workflow did not find
-    write_model(result.verdict.model, out / MODEL)
+    explained = not result.verdict.setup and result.verdict.status is not VerdictStatus.UNEXPLAINED
+    write_model(levels_of_explained(result.verdict.model) if explained else result.verdict.model, out / MODEL)
     if asked.mend and result.verdict.setup:
         write_dataset(dataset.with_runs(mend_runs(dataset.runs, result.verdict.setup)), out / MENDED, overwrite=True)
     if asked.invent and result.verdict.status in (VerdictStatus.UNEXPLAINED, VerdictStatus.PARTIAL):

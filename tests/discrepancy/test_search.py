@@ -313,7 +313,9 @@ class TestAnswer:
         assert verdict["status"] == "named"
         assert verdict["effects"][0]["name"] == "sensor_offset"
         assert set(verdict["rmse_m"]) == {"noise_floor", "nominal", "recalibrated", "corrected", "black_box"}
-        assert read_model(out / MODEL) == result.verdict.model
+        found = read_model(out / MODEL)
+        assert replace(found, filter={}) == result.verdict.model
+        assert found.filter == {"strength_std": 0.015, "strength_drift": 0.0015}
 
     def test_is_the_same_after_an_interruption(self, folder: Path, out: Path, result: Discovery, lines: list[str], tmp_path: Path) -> None:
         work = [line for line in lines if line.startswith(("fitting", "screening", "judging"))]

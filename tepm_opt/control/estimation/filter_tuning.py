@@ -14,11 +14,13 @@ import numpy as np
 
 from tepm_opt.control.estimation.kalman_filter import DEFAULT, DiscreteModalModel, Estimator, FilterSettings
 from tepm_opt.errors import InputError
+from tepm_opt.models.model import Model
 from tepm_opt.progress import Progress, silent, track
 
 HORIZONS = (0.05, 0.15, 0.30)  # s; the longest is the controller's prediction horizon
 FRICTION_SCALES = (1.0, 0.3, 0.1)  # of the hand-set values; larger ones predicted worse in the study
 STRENGTH_SCALES = (1.0, 0.3)  # 0.1 and 0.3 predict alike: less than 0.3 % apart
+EXPLAINED_SCALE = 0.3  # of the hand-set uncertainty of the muscles' strength, with a model whose strengths data have shown
 SETTLING = 1.5  # s from the start over which errors do not count
 SHORTEST = 4.0  # s of a log: errors of 2.2 s at least count at the longest horizon
 
@@ -80,6 +82,13 @@ def scale_noise(settings: FilterSettings, friction: float, strength: float) -> F
         friction_std=friction * settings.friction_std, friction_drift=friction * settings.friction_drift,
         strength_std=strength * settings.strength_std, strength_drift=strength * settings.strength_drift,
     )  # fmt: skip
+
+
+def levels_of_explained(model: Model) -> Model:
+    """A model that explains data with noise levels for it: muscles' strengths are in it or were not needed, so that they are less
+    uncertain. Levels that it has stay."""
+    known = scale_noise(DEFAULT, 1.0, EXPLAINED_SCALE)
+    return replace(model, filter={"strength_std": known.strength_std, "strength_drift": known.strength_drift, **model.filter})
 
 
 def prediction_errors(inputs: FilterInputs, settings: FilterSettings) -> tuple[float, ...]:
