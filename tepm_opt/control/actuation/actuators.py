@@ -92,7 +92,7 @@ class Actuators:
         timing = self.lags.timing_error(self.command.pressures)
         if sample.pressures is not None:
             self.lags.correct(np.asarray(sample.pressures, dtype=float), passed, timing)
-        off = _beyond(_subtract_expected(sample.pressures, pressure + self.pressure_offset), timing)
+        off = _reduce_by_error(_subtract_expected(sample.pressures, pressure + self.pressure_offset), timing)
         self.pressure_offset = self.pressure_offset + share * off
         read = _subtract_expected(sample.tensions, tension + self.tension_offset)
         missed = np.minimum(np.maximum(read, -FARTHEST), FARTHEST)
@@ -102,7 +102,7 @@ class Actuators:
             self._late = (1 - share) * self._late - passed * float(missed[there] @ self._rate[there])
             self._weight = (1 - share) * self._weight + passed * float(self._rate[there] @ self._rate[there])
             self._spread = (1 - share) * self._spread + passed * float(missed[there] @ missed[there])
-        off = _beyond(_subtract_expected(sample.pressures, self.pressure + self.pressure_offset), timing)
+        off = _reduce_by_error(_subtract_expected(sample.pressures, self.pressure + self.pressure_offset), timing)
         self.pressure = np.where(self.lags.unmonitored, self.pressure, np.maximum(self.pressure + BELIEF * off, 0.0))
         corrected = np.maximum(self.tension + BELIEF * _subtract_expected(sample.tensions, self.tension + self.tension_offset), 0.0)
         self.tension = np.where(np.abs(self.tension_offset) > FARTHEST, self.tension, corrected)
@@ -127,7 +127,7 @@ def _subtract_expected(measured: np.ndarray | None, expected: np.ndarray) -> np.
     return np.zeros(len(expected)) if measured is None else np.nan_to_num(np.asarray(measured) - expected, nan=0.0, posinf=0.0, neginf=0.0)
 
 
-def _beyond(off: np.ndarray, error: np.ndarray) -> np.ndarray:
+def _reduce_by_error(off: np.ndarray, error: np.ndarray) -> np.ndarray:
     """Part of differences that exceeds a possible error, (actuators,) each."""
     return np.copysign(np.maximum(np.abs(off) - error, 0.0), off)
 
