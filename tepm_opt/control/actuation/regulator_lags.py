@@ -147,7 +147,11 @@ class RegulatorLags:
         self._turned = np.abs(self._rise - before)
 
     def timing_error(self, command: np.ndarray) -> np.ndarray:
-        """What readings miss that are a period early or late, with a command (actuators,) in Pa in force, likewise."""
+        """Largest error of readings that are a period early or late, (actuators,) in Pa.
+
+        Args:
+            command: in force, (actuators,) in Pa.
+        """
         missing = command - self._path
         return np.maximum(self._turned, np.abs(np.where(missing > 0, *self.shares) * missing - self._rise))
 
