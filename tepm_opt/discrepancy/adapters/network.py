@@ -49,6 +49,7 @@ def candidate(name: str, detail: str | None = None, layout: Layout | None = None
         exact=effect.exact,
         happens=f"{label}.{effect.happens}" if effect.happens else "",
         timed=effect.timed,
+        scatters=any(p.spread for p in own),
         suggested=partial(_suggest_values, effect, label) if effect.has("suggest_values") else None,
     )
 

@@ -43,6 +43,7 @@ class Candidate:
         ranges: lowest and highest value by full name, of parameters that the plant knows within a narrower range or does not free.
         happens: full name of the parameter that is the instant at which it begins to act for good; empty where it has none.
         timed: whether it changes with the session's time, so that runs before or after all others say something new of it.
+        scatters: whether its parameters are alike and scatter about their null values with a spread of their own.
         suggested: values by full name of what says how it acts, from what a model leaves (see `models.effect.Effect.suggest_values`).
     """
 
@@ -65,6 +66,7 @@ class Candidate:
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict, compare=False, repr=False)
     happens: str = field(default="", compare=False, repr=False)
     timed: bool = field(default=False, compare=False, repr=False)
+    scatters: bool = field(default=False, compare=False, repr=False)
     suggested: Callable[[np.ndarray, np.ndarray, np.ndarray], Mapping[str, float]] | None = field(default=None, compare=False, repr=False)
 
     @property

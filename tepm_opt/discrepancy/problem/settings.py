@@ -34,7 +34,8 @@ class SearchSettings:
 
         screen_by_fits: screening: candidates that are not smooth are screened by a few fit steps from every probe, not by one simulation.
             Further probes of smooth candidates are then left out.
-        wide_above: screening: parameters above which an effect counts as several at once ("wide").
+        wide_above: screening: parameters, but for refinements, above which an effect counts as several at once ("wide"), as one whose
+            parameters scatter does with any number.
         probe_run_stride: screening by fits: one run in so many is used.
         probe_steps, best_probe_steps: screening by fits: Gauss-Newton steps from every probe, and from the best of each candidate.
         min_start_gain: screening: share of the best probe's gain from which another probe is a second place to fit from.
@@ -221,4 +222,5 @@ class SearchSettings:
 
     def is_wide(self, candidate: Candidate) -> bool:
         """Whether an effect counts as several at once: it is tried only where a pair does not do as well."""
-        return len(candidate.parameters) > self.wide_above
+        sizes = [name for name in candidate.parameters if candidate.null[name] or name not in candidate.shapes]
+        return candidate.scatters or len(sizes) > self.wide_above
