@@ -34,8 +34,8 @@ class RegulatorLeak(Effect):
         at = divmod(context.detail or 0, context.layout.actuators)
         inside = ca.fmax(pressure[at], 0) + ATMOSPHERE
         critical = parameters["critical_ratio"]
-        over = ca.fmax(ATMOSPHERE / inside - critical, 0) / (1 - critical)
-        choked = ca.sqrt(1 - over**2 + LAMINAR**2) - LAMINAR
+        squared = 1 - (ca.fmax(ATMOSPHERE / inside - critical, 0) / (1 - critical)) ** 2  # flow over the choked one's, by the standard
+        flow = squared * ca.sqrt((1 + LAMINAR**2) / (squared + LAMINAR**2))
         less = ca.SX(pressure)
-        less[at] = pressure[at] - parameters["share"] * inside * choked / ((1 + LAMINAR**2) ** 0.5 - LAMINAR)
+        less[at] = pressure[at] - parameters["share"] * inside * flow
         return less, tension
