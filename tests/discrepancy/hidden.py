@@ -178,7 +178,7 @@ SINGLES: tuple[Hidden, ...] = (
         shift_m=(0.003, -0.002, 0.004),
     ),
     _single("actuator_offset", 119, {"pressure": 1e-3 * 358.86 / 50.27e-6}, detail="23", length_m={"23": 1e-3}),
-    _single("regulator_leak", 124, {"share": 0.04 / 1.04}, detail="13", share={"13": 0.04}),
+    _single("regulator_leak", 124, {"share": 0.04}, detail="13", share={"13": 0.04}),
     _single("tension_gain", 125, {"loss": 0.25}, detail="21", loss={"21": 0.27}, bend=0.03),
     _single("actuator_scatter", 126, {}, area_spread=0.02, length_spread_m=3e-4, draw=1),
     _single(

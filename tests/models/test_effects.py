@@ -213,13 +213,24 @@ def test_scatter_has_parameters_of_every_muscle_a_robot_has():
 def test_a_choked_leak_takes_a_share_of_the_absolute_pressure():
     """Next to nothing without pressure, monotonous between; a loss that no gain and no offset has."""
     model = in_python(NOMINAL.with_effect("regulator_leak", "11", share=0.05))
-    gauge = np.array([0.0, 1e4, 5e4, 3e5, 4e5])
-    lost = np.array([p - model.statics.actuation(np.array([p] + [0.0] * 11), model.theta)[0] for p in gauge])
-    np.testing.assert_allclose(lost[[0, 3, 4]], [0.0, 0.05 * 401325.0, 0.05 * 501325.0], rtol=1e-9, atol=1e-6)
+    commanded = np.array([0.0, 1e4, 5e4, 3e5, 4e5])
+    kept = np.array([model.statics.actuation(np.array([p] + [0.0] * 11), model.theta)[0] for p in commanded])
+    lost, inside = commanded - kept, kept + 101325.0
+    np.testing.assert_allclose(lost[[0, 3, 4]], [0.0, *(0.05 * inside[3:])], rtol=1e-9, atol=1e-6)
     assert (np.diff(lost) > 0).all()
-    inside = gauge[1:3] + 101325.0  # beside the orifice without its laminar beginning
-    sharp = 0.05 * inside * np.sqrt(1 - ((101325.0 / inside - 0.35) / 0.65) ** 2)
-    assert (abs(lost[1:3] - sharp) < 0.1 * 0.05 * inside).all()
+    sharp = 0.05 * inside * np.sqrt(1 - ((101325.0 / inside - 0.35) / 0.65) ** 2)  # the orifice without its laminar beginning
+    assert (abs(lost - sharp)[1:3] < 0.05 * sharp[1:3]).all()
+
+
+@pytest.mark.parametrize("share", [0.01, 0.5])
+def test_a_leak_of_any_size_ends_where_both_flows_are_equal(share):
+    commanded = np.geomspace(100.0, 3e5, 25)
+    for critical_ratio in (0.05, 0.6):
+        model = in_python(NOMINAL.with_effect("regulator_leak", "11", share=share, critical_ratio=critical_ratio))
+        less = np.array([model.statics.actuation(np.array([p] + [0.0] * 11), model.theta)[0] for p in commanded])
+        squared = 1 - (np.maximum(101325.0 / (less + 101325.0) - critical_ratio, 0) / (1 - critical_ratio)) ** 2
+        flow = (less + 101325.0) * squared * np.sqrt(1.01 / (squared + 0.01))
+        np.testing.assert_allclose(less + share * flow, commanded, rtol=1e-5)
 
 
 def test_a_tendons_gain_leaves_its_muscle_alone():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 
@@ -105,8 +105,8 @@ def _fit_pair(
 ) -> list[Hypothesis]:
     """Fit the pair of effects that promises most in the place of one that may be their common work; in that of a wide one also a triple.
 
-    In the place of a wide effect it is a pair of single parts, also where only noise is left; the triple is of any effects, one added to
-    another. Values of the robot file are left out: with one of them nearly every effect does what another one does.
+    In the place of a wide effect it is a pair of single parts, and one of a part and something else, also where only noise is left; the
+    triple is of any effects, one added to another. Values of the robot file are left out: with one of them nearly every effect does what another one does.
 
     Args:
         fits: all fits so far.
@@ -122,13 +122,16 @@ def _fit_pair(
         return []
     linear = fits.linear(best, missing)
     able = [c for c in linear.able if c != effect and not settings.is_wide(c) and may_act_beside(c, rest.effects) and c.name != PARAMETER]
+    parts, others = [c for c in able if c.part], [c for c in able if not c.part]
     first = [score.candidate for score in scores if score.candidate in able][: settings.rich_pair_candidates]
-    first = [c for c in able if c.part] if wide else first
-    both = combinations(first, 2) if wide else ((one, other) for one in first for other in able)
-    promised = [(*linear.gain((*rest.effects, *pair)), pair) for pair in both if pair[0].form_of != pair[1].form_of]
-    gain, start, pair = max(promised, key=lambda each: each[0], default=(-np.inf, {}, ()))
+    sorts = (combinations(parts, 2), product(parts, others)) if wide else (product(first, able),)
     most = settings.max_wide_pair_share * rest.excess * float(linear.count.sum()) if wide else settings.max_pair_excess * linear.excess
-    sets = [((*rest.effects, *pair), {**best.estimate.named, **start})] if -gain * linear.excess <= most else []
+    sets = []
+    for pairs in sorts:
+        promised = [(*linear.gain((*rest.effects, *pair)), pair) for pair in pairs if pair[0].form_of != pair[1].form_of]
+        gain, start, pair = max(promised, key=lambda each: each[0], default=(-np.inf, {}, ()))
+        if -gain * linear.excess <= most:
+            sets.append(((*rest.effects, *pair), {**best.estimate.named, **start}))
     if wide and not best.only_noise(settings):
         sets += _propose_triples(fits, best, rest, able, missing)
     return list(dict.fromkeys(h for h in fits.fit_all(sets, best) if h is not None))
