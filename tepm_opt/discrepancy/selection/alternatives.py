@@ -46,10 +46,16 @@ def replacements(
         weight = _average_coincident(group, weight, rest, settings, seed)
     weight = _favour_plain(group, weight, settings)
     most = largest_excess_of_parts(best, rest, effect, settings)
-    enough = [k for k, h in enumerate(group) if h.left <= most and h is not best]
+    enough = [k for k, h in enumerate(group) if h.left <= most and h is not best and not _is_mixed_pair(h, best)]
     if enough:
         weight = np.eye(len(group))[min(enough, key=lambda k: group[k].left)]
     return list(zip(group, weight.tolist(), strict=True))
+
+
+def _is_mixed_pair(hypothesis: Hypothesis, best: Hypothesis) -> bool:
+    """Whether a part and something else, which can do much of what scatter does, are in the place of an effect of the best hypothesis."""
+    new = [c for c in hypothesis.effects if c not in best.effects]
+    return len(new) == 2 and bool(new[0].part) != bool(new[1].part)
 
 
 def _favour_plain(group: Sequence[Hypothesis], weight: np.ndarray, settings: SearchSettings) -> np.ndarray:
@@ -106,7 +112,8 @@ def _fit_pair(
     """Fit the pair of effects that promises most in the place of one that may be their common work; in that of a wide one also a triple.
 
     In the place of a wide effect it is a pair of single parts, and one of a part and something else, also where only noise is left; the
-    triple is of any effects, one added to another. Values of the robot file are left out: with one of them nearly every effect does what another one does.
+    triple is of any effects, one added to another. Values of the robot file are left out: with one of them nearly every effect does what
+    another one does.
 
     Args:
         fits: all fits so far.
