@@ -30,7 +30,9 @@ def estimate(change: float, bend: float, deviations: tuple[float, float], correl
     """Fit of a strength and a shape that trade."""
     size = np.outer(deviations, deviations) * np.array([[1, correlation], [correlation, 1]])
     free = [SimpleNamespace(name=name) for name in WEAR.null]
-    return SimpleNamespace(values=np.array([change, bend]), covariance=size, problem=SimpleNamespace(free=free, scale=np.array([0.1, 1.0])))
+    problem = SimpleNamespace(free=free, scale=np.array([0.1, 1.0]))
+    told = {"at_bound": np.zeros(2, dtype=bool), "information": np.eye(2)}
+    return SimpleNamespace(values=np.array([change, bend]), covariance=size, problem=problem, **told)
 
 
 def test_shapes_are_held() -> None:
@@ -42,7 +44,7 @@ def test_shapes_are_held() -> None:
 
 @pytest.mark.parametrize("acts", [True, False])
 def test_a_shape_that_acts_alone_is_a_strength(acts: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(significance, "_acts_without_strengths", lambda *_: acts)
+    monkeypatch.setattr(significance, "_changes_outputs", lambda *_: acts)
     assert significance.is_significant(estimate(0.0, 2.0, (0.1, 0.05), 0.0), WEAR, SearchSettings()) is acts
     assert not significance.is_significant(estimate(0.0, 0.05, (0.1, 0.05), 0.0), WEAR, SearchSettings())
 
@@ -93,3 +95,30 @@ def test_an_effect_is_named_where_only_strength_over_time_constant_is_known() ->
     share, true = (c * -np.expm1(-5 / t) for c, t in ((change.value, time_constant.value), (0.2, 60)))
     assert share == pytest.approx(true, rel=0.25), "after five minutes, about three standard deviations"
     assert describe_sizes(effect)[-1] == "known only together"
+
+
+def pulled(run: Run, values: Mapping[str, Any]) -> np.ndarray:
+    """A spring that a cable relieves; one that lost five sixths of its force is slack, whatever more it loses."""
+    load, force = run.inputs.T
+    return values["compliance"] * (load - force * np.maximum(1 - 1.2 * values["worn_cable[cable].loss"], 0.0))
+
+
+def relieved(role: Role, seed: int, loss: float) -> Run:
+    """Deflections over load and force of a cable that has lost a share of it."""
+    random, rows = np.random.default_rng(seed), 200
+    run = Run(f"{role}.csv", role, np.full(rows, np.nan), random.uniform(0.2, 1, (rows, 2)), np.zeros((rows, 3)), np.zeros((rows, 1, 1)))
+    measured = pulled(run, {"compliance": 1.02, "worn_cable[cable].loss": loss}) + NOISE * random.normal(size=rows)
+    return Run(run.file, role, run.time, run.inputs, run.tip_force, measured[:, None, None])
+
+
+@pytest.mark.parametrize("loss", [1.0, 0.3, 0.0])
+def test_a_cable_that_lost_everything_is_told(loss: float) -> None:
+    """There its loss has no derivative, and its standard deviation is that of the prior."""
+    m = Simulator("a relieved spring", Signals.from_names(["load", "force"], ["deflection"]))
+    m.parameter("compliance", 1.0, std=0.05)
+    m.effects([Law("worn_cable", "input", (Quantity("loss", "1", 0.0, (0.05,), -1.0, 1.0),))], "cable")
+    m.effects([Law("offset", "output", (Quantity("by", "signal", 0.0, (0.01,), -1.0, 1.0),))], "deflection", signal=1.0)
+    dataset = RunSet.from_runs("cable", [relieved("fit", 1, loss), relieved("validation", 2, loss)])
+    answer = discover(dataset, m.plant(pulled, static=True), NOISE).verdict
+    assert answer.status is (VerdictStatus.NAMED if loss else VerdictStatus.NO_DISCREPANCY)
+    assert [effect.candidate.name for effect in answer.effects] == ["worn_cable"] * bool(loss)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 
 from tepm_opt.data.run import Run
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.models.compile import CompiledModel, compile_model
+from tepm_opt.models.effect import Context
 from tepm_opt.models.effects import find_effect
 from tepm_opt.models.model import Model
 from tepm_opt.solvers.mechanics.predict import predict
@@ -50,6 +52,30 @@ def test_a_drift_is_a_shift_in_proportion_to_the_session_s_time(company, setpoin
     drifting = at(company, {f"tracker_drift.shift_{axis}": value for axis, value in zip("xyz", rate, strict=True)})
     found, plain = (simulate(model, setpoints, step=0.02, began=BEGAN) for model in (drifting, company))
     np.testing.assert_allclose(found.points - plain.points, np.multiply.outer(BEGAN + setpoints.time, [rate] * 4), atol=1e-12)
+
+
+def test_a_drift_that_decays_nears_its_end_exponentially(company, setpoints):
+    values = {"tracker_drift.shift_x": 1e-4, "tracker_drift.decay": 0.05}
+    found, plain = (simulate(model, setpoints, step=0.02, began=BEGAN) for model in (at(company, values), company))
+    expected = 1e-4 / 0.05 * (1 - np.exp(-0.05 * (BEGAN + setpoints.time)))
+    np.testing.assert_allclose((found.points - plain.points)[:, :, 0], np.tile(expected[:, None], 4), atol=1e-12)
+
+
+@pytest.mark.parametrize("decay", [-0.004, -1e-6, 0.0, 2e-5, 3e-5, 0.1])
+def test_a_drift_and_its_derivatives_are_smooth_in_its_decay(company, decay):
+    """Near none, where the exponential is expanded, too."""
+    clock = 40.0
+    theta, points = ca.SX.sym("theta", 2), ca.SX.zeros(3, 4)
+    effect = find_effect("tracker_drift")
+    own = {p.name: ca.SX(0) for p in effect.parameters} | {"shift_x": theta[0], "decay": theta[1], "clock": ca.SX(clock)}
+    context = Context(company.layout, None, np.eye(3), np.zeros(3), np.zeros(3))
+    shift = effect.outputs(points, own, context)[0, 0]
+    value, slope = ca.Function("drift", [theta], [shift, ca.gradient(shift, theta)])([1e-4, decay])
+    time = np.linspace(0, clock, 20_001)
+    kept = np.exp(-decay * time)
+    expected = [np.trapezoid(kept, time), -1e-4 * np.trapezoid(time * kept, time)]
+    np.testing.assert_allclose(np.array(slope).ravel(), expected, rtol=1e-5)
+    np.testing.assert_allclose(float(value), 1e-4 * expected[0], rtol=1e-6)
 
 
 def test_a_skew_makes_positions_older_and_older_from_each_run_s_start(company, setpoints):
