@@ -12,6 +12,7 @@ from tepm_opt.models.compile import compile_model
 from tepm_opt.models.effect import ActiveEffect, Context
 from tepm_opt.models.effects import effects, find_effect, register
 from tepm_opt.models.effects.payload import Payload
+from tepm_opt.models.effects.regulator_leak import lost_pressure
 from tepm_opt.models.layout import VERTICAL, Layout
 from tepm_opt.models.memories import Memory
 from tepm_opt.models.model import Model
@@ -216,21 +217,24 @@ def test_a_choked_leak_takes_a_share_of_the_absolute_pressure():
     commanded = np.array([0.0, 1e4, 5e4, 3e5, 4e5])
     kept = np.array([model.statics.actuation(np.array([p] + [0.0] * 11), model.theta)[0] for p in commanded])
     lost, inside = commanded - kept, kept + 101325.0
-    np.testing.assert_allclose(lost[[0, 3, 4]], [0.0, *(0.05 * inside[3:])], rtol=1e-9, atol=1e-6)
+    np.testing.assert_allclose(lost[[0, 3, 4]], [0.0, *(0.05 * inside[3:])], rtol=1e-3, atol=1e-6)
     assert (np.diff(lost) > 0).all()
-    sharp = 0.05 * inside * np.sqrt(1 - ((101325.0 / inside - 0.35) / 0.65) ** 2)  # the orifice without its laminar beginning
-    assert (abs(lost - sharp)[1:3] < 0.05 * sharp[1:3]).all()
+    assert 0 < lost[1] < lost[2] < 0.05 * inside[2]
 
 
-@pytest.mark.parametrize("share", [0.01, 0.5])
-def test_a_leak_of_any_size_ends_where_both_flows_are_equal(share):
-    commanded = np.geomspace(100.0, 3e5, 25)
-    for critical_ratio in (0.05, 0.6):
-        model = in_python(NOMINAL.with_effect("regulator_leak", "11", share=share, critical_ratio=critical_ratio))
-        less = np.array([model.statics.actuation(np.array([p] + [0.0] * 11), model.theta)[0] for p in commanded])
-        squared = 1 - (np.maximum(101325.0 / (less + 101325.0) - critical_ratio, 0) / (1 - critical_ratio)) ** 2
-        flow = (less + 101325.0) * squared * np.sqrt(1.01 / (squared + 0.01))
-        np.testing.assert_allclose(less + share * flow, commanded, rtol=1e-5)
+@pytest.mark.parametrize("share", [1e-3, 0.05, 0.5])
+@pytest.mark.parametrize("critical_ratio", [0.05, 0.35, 0.6])
+def test_a_leak_ends_where_the_flows_of_regulator_and_orifice_are_equal(share, critical_ratio):
+    """By the standard's ellipse, choked and not; derivatives are finite down to no pressure and no leak."""
+    model = in_python(NOMINAL.with_effect("regulator_leak", "11", share=share, critical_ratio=critical_ratio))
+    commanded = np.geomspace(300.0, 5e5, 40)
+    inside = 101325.0 + np.array([model.statics.actuation(np.array([p] + [0.0] * 11), model.theta)[0] for p in commanded])
+    flow = inside * np.sqrt(1 - (np.maximum(101325.0 / inside - critical_ratio, 0) / (1 - critical_ratio)) ** 2)
+    np.testing.assert_allclose(inside + share * flow - 101325.0, commanded, rtol=2e-3, atol=share * 300.0)
+    absolute, size = ca.SX.sym("absolute"), ca.SX.sym("size")
+    slopes = ca.gradient(lost_pressure(absolute, size, critical_ratio), ca.vertcat(absolute, size))
+    found = np.array([ca.Function("slopes", [absolute, size], [slopes])(101325.0 + p, s) for p in (0.0, *commanded) for s in (0.0, share)])
+    assert np.isfinite(found).all()
 
 
 def test_a_tendons_gain_leaves_its_muscle_alone():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache
 
 import casadi as ca
 
@@ -11,8 +10,7 @@ from tepm_opt.models.effect import Context, Effect, Parameter
 
 ATMOSPHERE = 101_325.0  # Pa
 CRITICAL_RATIO = 0.35  # where nothing else is known; small holes have 0.2 to 0.5
-LAMINAR = 0.1  # of the choked flow, below which it goes with the pressure, not with its root
-STEPS = 5  # of Newton's method
+LAMINAR = 1e-3  # of the choked flow, below which it does not go with the pressure's root
 
 
 class RegulatorLeak(Effect):
@@ -34,21 +32,20 @@ class RegulatorLeak(Effect):
 
     def inputs(self, pressure: ca.SX, tension: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> tuple[ca.SX, ca.SX]:
         at = divmod(context.detail or 0, context.layout.actuators)
-        commanded, share, flow = pressure[at], parameters["share"], _orifice()
-        inside = commanded
-        for _ in range(STEPS):
-            passed, slope = flow(inside, parameters["critical_ratio"])
-            inside = ca.fmax(inside - (inside + share * passed - commanded) / (1 + share * slope), 0)
+        commanded = ca.fmax(pressure[at], 0) + ATMOSPHERE
         less = ca.SX(pressure)
-        less[at] = commanded - share * flow(inside, parameters["critical_ratio"])[0]
+        less[at] = pressure[at] - lost_pressure(commanded, parameters["share"], parameters["critical_ratio"])
         return less, tension
 
 
-@cache
-def _orifice() -> ca.Function:
-    """Flow over the orifice's conductance in Pa, and its derivative, of the gauge pressure before it in Pa and the critical ratio."""
-    pressure, critical = ca.SX.sym("pressure"), ca.SX.sym("critical_ratio")
-    inside = ca.fmax(pressure, 0) + ATMOSPHERE
-    squared = 1 - (ca.fmax(ATMOSPHERE / inside - critical, 0) / (1 - critical)) ** 2  # flow over the choked one's, by the standard
-    flow = inside * squared * ca.sqrt((1 + LAMINAR**2) / (squared + LAMINAR**2))
-    return ca.Function("orifice", [pressure, critical], [flow, ca.gradient(flow, pressure)])
+def lost_pressure(commanded: ca.SX, share: ca.SX, critical: ca.SX) -> ca.SX:
+    """What a leak takes, in Pa, of an absolute pressure in Pa: the flows of regulator and leak are equal.
+
+    Below the choked flow, an ellipse of the pressure, this is the smaller root of a quadratic equation; above, a share of the pressure.
+    """
+    least = ca.fmin(commanded, (1 + share) * ATMOSPHERE / critical)
+    width = 1 - critical
+    ellipse = (width * least) ** 2 - (ATMOSPHERE - critical * least) ** 2
+    flow = ca.sqrt(ellipse + ((share + LAMINAR) * ATMOSPHERE) ** 2) - LAMINAR * ATMOSPHERE
+    inside = width**2 * least + share**2 * critical * ATMOSPHERE - share * width * flow
+    return least - inside / (width**2 - share**2 * (1 - 2 * critical)) + share / (1 + share) * (commanded - least)
