@@ -39,7 +39,7 @@ class RegulatorLeak(Effect):
 
 
 def lost_pressure(commanded: ca.SX, share: ca.SX, critical: ca.SX) -> ca.SX:
-    """What a leak takes, in Pa, of an absolute pressure in Pa: the flows of regulator and leak are equal.
+    """Pressure that a leak takes of an absolute one, both in Pa, where the flows of regulator and leak are equal.
 
     Below the choked flow, an ellipse of the pressure, this is the smaller root of a quadratic equation; above, a share of the pressure.
     """
