@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,16 +17,12 @@ from tepm_opt.solvers.mechanics.plant import PredictionError
 def is_significant(estimate: ParameterEstimate, effect: Candidate, settings: SearchSettings) -> bool:
     """Whether the size of an effect is at least `min_size_sigma` standard deviations from the size at which it vanishes.
 
-    A shape that is 0 where the effect vanishes counts as a strength where it acts alone, too, as a choke without a lag does. An effect that
-    is complete, as the loss of a tendon's whole tension, has no derivative there: it is significant where it changes outputs visibly.
+    A shape that is 0 where the effect vanishes counts as a strength where it acts alone, too, as a choke without a lag does.
     """
     if standard_deviations_from_null(estimate, effect) >= settings.min_size_sigma:
         return True
-    if _is_complete(estimate, effect):
-        return _changes_outputs(estimate, {}, effect, settings)
     also = [free.name for free in estimate.problem.free if free.name in effect.shapes and not effect.null[free.name]]
-    strengths = {name: value for name, value in effect.null.items() if name not in effect.shapes}
-    if not also or not _changes_outputs(estimate, strengths, effect, settings):
+    if not also or not _acts_without_strengths(estimate, effect, settings):
         return False
     return standard_deviations_from_null(estimate, effect, also) >= settings.min_size_sigma
 
@@ -62,21 +58,16 @@ def _hold(covariance: np.ndarray, of: Sequence[int], held: Sequence[int]) -> np.
     return covariance[np.ix_(of, of)] - across @ np.linalg.pinv(covariance[np.ix_(held, held)], hermitian=True) @ across.T
 
 
-def _is_complete(estimate: ParameterEstimate, effect: Candidate) -> bool:
-    """Whether all strengths of an effect ended at their bounds, where a change of them by their whole scale changes nothing visible."""
-    names = [free.name for free in estimate.problem.free]
-    strengths = [k for k, name in enumerate(names) if name in effect.parameters and name not in effect.shapes]
-    return bool(strengths) and all(estimate.at_bound[k] and estimate.information[k, k] < 1 for k in strengths)
-
-
-def _changes_outputs(estimate: ParameterEstimate, changed: Mapping[str, float], effect: Candidate, settings: SearchSettings) -> bool:
-    """Whether outputs with some values of a fit changed differ visibly from those without the effect."""
+def _acts_without_strengths(estimate: ParameterEstimate, effect: Candidate, settings: SearchSettings) -> bool:
+    """Whether outputs change visibly by an effect with its strengths at their null values and its shapes as fitted."""
+    strengths = {name: value for name, value in effect.null.items() if name not in effect.shapes}
     fitted = estimate.plant
     try:
-        acting, without = (
-            replace(estimate.problem, plant=fitted.with_values(values), free=()).residuals(np.zeros(0)) for values in (changed, effect.null)
+        with_shapes, without = (
+            replace(estimate.problem, plant=fitted.with_values(values), free=()).residuals(np.zeros(0))
+            for values in (strengths, effect.null)
         )
     except PredictionError:
         return False
-    squares = sum(float(np.sum((a.values - b.values) ** 2)) for a, b in zip(acting, without, strict=True))
-    return squares > settings.min_excess_removed * estimate.count
+    changed = sum(float(np.sum((a.values - b.values) ** 2)) for a, b in zip(with_shapes, without, strict=True))
+    return changed > settings.min_excess_removed * estimate.count

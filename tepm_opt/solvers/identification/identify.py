@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from html import escape
@@ -23,6 +24,7 @@ TRIES = 3  # steps tried, with those that leave more, for each one allowed
 HOPE = 2.0  # how many times what a step promises to first order a fit may still gain
 OUT_OF_REACH = "a rival cannot be reached any more"
 FACTOR = 4.0  # by which what is above 0 changes at most in a step: a time or a distance does not leap past its best
+INSIDE = 0.5  # of its scale by which a parameter is moved off a bound near which it changes nothing
 SHORTEST = 2.0**-12  # part of a step that is tried where the model cannot do the runs at its end
 
 
@@ -212,10 +214,29 @@ class _Iterate:
 
     def estimate(self, steps: int, outcome: Outcome) -> ParameterEstimate:
         """The result, after so many steps."""
-        problem, residuals = self.problem, self.residuals
+        problem = self.problem
+        residuals = _differentiate_inside(problem, self.values, self.residuals)
         square, _ = normal_equations(residuals)
         information, covariance = square * np.outer(problem.scale, problem.scale), _covariance(problem, residuals, self.weights)
         return ParameterEstimate(problem, self.values, covariance, residuals, self.cost, steps, information, outcome)
+
+
+def _differentiate_inside(problem: Problem, values: np.ndarray, residuals: list[Residual]) -> list[Residual]:
+    """Residuals with derivatives a little inside a bound by what changes nothing at it, where a parameter has been moved to that bound.
+
+    A tendon that has lost its whole tension pulls no less by losing more, but would by losing less. Where the model cannot be simulated
+    there, derivatives stay as they are.
+    """
+    means, count, margin = np.array([free.prior_mean for free in problem.free]), len(problem.free), INSIDE * problem.scale
+    blind = sum((np.sum(r.by**2, axis=0) for r in residuals), start=np.zeros(count)) * problem.scale**2 < 1
+    inside = np.clip(values, problem.low + margin, problem.high - margin)
+    moved = blind & (inside != values) & (np.abs(values - means) > margin)
+    if not moved.any():
+        return residuals
+    with suppress(PredictionError):
+        there = problem.residuals(np.where(moved, inside, values))
+        return [replace(r, by=np.where(blind, other.by, r.by)) for r, other in zip(residuals, there, strict=True)]
+    return residuals
 
 
 def _try_step(
