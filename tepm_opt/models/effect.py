@@ -116,6 +116,7 @@ class Effect:
         corners: whether what it does to the properties has corners along the inputs.
         delays_forces: whether its delay is one of known forces, too.
         further_probes: values by name, where its parameters' probes are not all that one would look for it at.
+        further_shapes: values by name of what says how it acts, from which it is fitted besides those that `suggest_values` gives.
         branches: states of each pressure, whose sum acts; `pressure_memory` and `pressure_begun` are given, and give, blocks of modules
             below each other, (branches · modules, actuators).
         of_device: whether a device does it, so that it acts on commands before anything else does, however effects are listed.
@@ -139,6 +140,7 @@ class Effect:
     happens: ClassVar[str] = ""
     delays_forces: ClassVar[bool] = False
     further_probes: ClassVar[tuple[Mapping[str, float], ...]] = ()
+    further_shapes: ClassVar[tuple[Mapping[str, float], ...]] = ()
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()

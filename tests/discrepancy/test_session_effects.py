@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from tepm_opt.discrepancy.adapters.network import candidate
+from tepm_opt.discrepancy.problem.settings import SearchSettings
+from tepm_opt.discrepancy.selection.fitting import Fits
 from tepm_opt.discrepancy.selection.shape_suggestions import apply_suggested_shapes
 from tepm_opt.models.compile import CompiledModel, compile_model
 from tepm_opt.models.effects import find_effect
@@ -79,6 +81,40 @@ def test_what_is_suggested_for_runs_of_a_known_session() -> None:
         found = shaken.suggest_values(clock, began, line)
         assert found["frequency"] == pytest.approx(7.3, abs=7e-3)
         assert found["restarts"] == restarts
+
+
+def test_an_arm_that_sways_hides_no_line() -> None:
+    """Sway that decays has more power than the line; the line's second harmonic is no line of its own."""
+    random, began = np.random.default_rng(3), np.repeat([0.0, 25.3, 50.1], 600)
+    passed = np.tile(np.arange(600) / 50, 3)
+    sways = np.repeat(random.normal(size=(3, 12)), 600, axis=0)  # another way in each run
+    sway = 12 * sways * (np.exp(-passed / 4) * np.sin(2 * np.pi * 0.9 * passed))[:, None]
+    turn = 2 * np.pi * 6.1 * (began + passed)
+    left = random.normal(size=(1800, 12)) + sway + (np.sin(turn) + 0.1 * np.sin(2 * turn))[:, None]
+    found = find_effect("base_vibration").suggest_values(began + passed, began, left)
+    assert found["frequency"] == pytest.approx(6.1, abs=7e-3)
+
+
+@pytest.mark.slow
+def test_a_base_that_sets_in_at_once_is_fitted_from_a_slow_rise(company: CompiledModel) -> None:
+    """The arm sways after the kick; from a rise of half a second no derivative leads there."""
+    true = {f"sine_{axis}": size for axis, size in zip("xyz", (1e-3, -5e-4, 3e-4), strict=True)} | {"frequency": 7.3, "rise": 0.02}
+    moved = NetworkPlant(company).with_values({f"base_vibration.{name}": value for name, value in true.items()})
+    still, random = Deviation(), np.random.default_rng(5)
+    runs = []
+    for k, run in enumerate(excitations(3, short=True)[:3], start=1):
+        ran = simulate_run(rig_file(KANG, still, NOISE, 1), still, run, k)
+        seen = moved.predict(ran, step=0.02).points
+        runs.append(replace(ran, points=seen + random.normal(0, NOISE, seen.shape)))
+    plant = NetworkPlant(company)
+    fits = Fits(Problem(plant, tuple(runs), plant.free(tuple(KANG.priors)), NOISE, step=0.02), SearchSettings())
+    without, missing = fits.fit((), {}), candidate("base_vibration")
+    assert without is not None
+    linear = fits.linear(without, [missing])
+    found = fits.fit((missing,), linear.gain((missing,))[1])
+    assert found is not None
+    assert found.excess < 0.02 * without.excess
+    assert found.estimate.named["base_vibration.rise"] < 0.05
 
 
 def test_data_of_equilibria_suggest_nothing() -> None:

@@ -51,6 +51,7 @@ def candidate(name: str, detail: str | None = None, layout: Layout | None = None
         timed=effect.timed,
         scatters=any(p.spread for p in own),
         suggested=partial(_suggest_values, effect, label) if effect.has("suggest_values") else None,
+        further_shapes=tuple({f"{label}.{name}": value for name, value in shape.items()} for shape in effect.further_shapes),
     )
 
 

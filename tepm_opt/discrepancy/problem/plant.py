@@ -45,6 +45,7 @@ class Candidate:
         timed: whether it changes with the session's time, so that runs before or after all others say something new of it.
         scatters: whether its parameters are alike and scatter about their null values with a spread of their own.
         suggested: values by full name of what says how it acts, from what a model leaves (see `models.effect.Effect.suggest_values`).
+        further_shapes: such values from which it is fitted besides.
     """
 
     name: str
@@ -68,6 +69,7 @@ class Candidate:
     timed: bool = field(default=False, compare=False, repr=False)
     scatters: bool = field(default=False, compare=False, repr=False)
     suggested: Callable[[np.ndarray, np.ndarray, np.ndarray], Mapping[str, float]] | None = field(default=None, compare=False, repr=False)
+    further_shapes: tuple[Mapping[str, float], ...] = field(default=(), compare=False, repr=False)
 
     @property
     def label(self) -> str:

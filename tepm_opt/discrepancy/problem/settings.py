@@ -222,5 +222,4 @@ class SearchSettings:
 
     def is_wide(self, candidate: Candidate) -> bool:
         """Whether an effect counts as several at once: it is tried only where a pair does not do as well."""
-        sizes = [name for name in candidate.parameters if candidate.null[name] or name not in candidate.shapes]
-        return candidate.scatters or len(sizes) > self.wide_above
+        return candidate.scatters or len(set(candidate.parameters) - set(candidate.shapes)) > self.wide_above

@@ -179,7 +179,7 @@ class Fits:
         settings, label = self.settings, " ".join(c.full_label for c in effects)
         early = np.isfinite(bound) and f"early {label}" in self._kept
         kept = self._kept.get(f"early {label}" if early else f"{stage} {label}")
-        begun = [self.done[effects].estimate.named] if effects in self.done and stage != "anew" else starts
+        begun = [self.done[effects].estimate.named] if effects in self.done and stage != "anew" else _vary_shapes(effects, starts)
         free = collect_free_parameters(self.problem.free, self.problem.plant, effects)
         problem = replace(self.problem, plant=restrict_effects_to_runs(self.problem.plant, effects))
         steps, fits = 0 if kept else settings.max_iterations, []
@@ -276,6 +276,17 @@ class Fits:
 
 def _sort(effects: Effects) -> Effects:
     return tuple(sorted(effects, key=lambda c: c.full_label))
+
+
+def _vary_shapes(effects: Effects, starts: Sequence[dict[str, float]]) -> list[dict[str, float]]:
+    """First values, and these with further shapes of effects, as long as no fit has changed what these would change."""
+
+    def is_new(start: dict[str, float], effect: Candidate, shape: Mapping[str, float]) -> bool:
+        changed = [name for name, value in shape.items() if value != effect.null[name]]
+        return all(np.isclose(start.get(name, np.nan), effect.null[name], rtol=1e-3) for name in changed)
+
+    further = [start | {**shape} for start in starts for c in effects for shape in c.further_shapes if is_new(start, c, shape)]
+    return [*starts, *further]
 
 
 def _describe_fit(effects: Effects) -> str:

@@ -7,13 +7,13 @@ from collections.abc import Mapping
 import casadi as ca
 import numpy as np
 from scipy.fft import next_fast_len
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import median_filter
 
 from tepm_opt.models.effect import BEGAN, CLOCK, Context, Effect, Parameter, Properties
 
-RISE = 0.5  # s over which the masses begin to feel it in a run, which begins at rest
 FINE = 8  # frequencies to one that the session's length resolves
-AROUND, SLOWEST = 1.0, 0.5  # Hz: surroundings of a line, and below which it is no vibration
+AROUND, SLOWEST = 0.25, 0.5  # Hz: surroundings of a line, and below which it is no vibration
+CONTRAST = 20.0  # times the median of its surroundings that is no line; sway that decays has less
 ALIKE = 0.8  # part of a line from which it is one motion of all points
 
 
@@ -24,7 +24,7 @@ class BaseVibration(Effect):
 
     In the base's frame the masses feel its acceleration, turned round; the tracker sees their motion in that frame and the base's.
     `inertia` is 1 where the base moves and the tracker stands, 0 where the tracker's stand moves and the robot's does not. A run begins
-    at rest and statics are of its beginning: there the masses feel nothing yet.
+    at rest and statics are of its beginning: there the masses feel nothing yet, but ever more within `rise`.
     """
 
     name = "base_vibration"
@@ -37,11 +37,14 @@ class BaseVibration(Effect):
         Parameter("frequency", "Hz", null=3.0, probe=3.0, low=0.1, high=50.0, change=0.01),
         Parameter("restarts", "1", null=0.0, probe=0.0, low=0.0, high=1.0, change=0.1),
         Parameter("inertia", "1", null=1.0, probe=1.0, low=0.0, high=1.0),
+        Parameter("rise", "s", null=0.5, probe=0.5, low=0.02, high=5.0, change=0.1),
         *(Parameter(f"harmonic_{part}", "1", null=0.0, probe=0.0, low=-1.0, high=1.0, change=0.1) for part in ("sine", "cosine")),
     )
 
+    further_shapes = ({"rise": 0.03, "inertia": 1.0},)  # it sets in at once, and the arm sways after that
+
     def loads(self, properties: Properties, external: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> ca.SX:
-        passed = (parameters[CLOCK] - parameters[BEGAN]) / RISE
+        passed = (parameters[CLOCK] - parameters[BEGAN]) / parameters["rise"]
         pull = self._wave(parameters, 1) + 4 * self._wave(parameters, 2)
         force = parameters["inertia"] * -ca.expm1(-(passed**2)) * (2 * np.pi * parameters["frequency"]) ** 2 * pull
         return context.layout.actuators * ca.mtimes(ca.mtimes(ca.DM(context.rotation.T), force), properties.mass.T)
@@ -58,7 +61,7 @@ class BaseVibration(Effect):
         return seen if order == 1 else parameters["harmonic_sine"] * seen + parameters["harmonic_cosine"] * shifted
 
     def suggest_values(self, clock: np.ndarray, began: np.ndarray, left: np.ndarray) -> Mapping[str, float]:
-        """The line that stands out most from its surroundings in the spectrum of all runs together, with phases of either kind.
+        """The line with most power above its surroundings in the spectrum of all runs together, with phases of either kind.
 
         Where all points move alike in it, it is the tracker's stand that moves.
         """
@@ -73,14 +76,14 @@ class BaseVibration(Effect):
             alone.append(np.fft.rfft(samples, axis=0))
         turned = [np.exp(-2j * np.pi * frequency * start)[:, None] * own for start, own in zip(starts, alone, strict=True)]
         around = 2 * int(AROUND / frequency[1]) + 1
-        best = (0.0, {})
+        best = (-np.inf, {})
         for restarts, parts in ((0.0, turned), (1.0, alone)):
             lines = np.sum(parts, axis=0)
             power = np.sum(np.abs(lines) ** 2, axis=1)
-            contrast = power / np.maximum(uniform_filter1d(power, around, mode="nearest"), 1e-30)
-            at = int(np.argmax(np.where(frequency > SLOWEST, contrast, 0.0)))
+            above = power - CONTRAST * median_filter(power, around, mode="nearest")
+            at = int(np.argmax(np.where(frequency > SLOWEST, above, -np.inf)))
             moves = lines[at].reshape(-1, 3)  # every point along every axis
             alike = len(moves) * np.sum(np.abs(moves.mean(axis=0)) ** 2) > ALIKE * power[at]
             found = {"frequency": float(frequency[at]), "restarts": restarts, "inertia": 0.0 if alike else 1.0}
-            best = max(best, (float(power[at]), found), key=lambda line: line[0])
+            best = max(best, (float(above[at]), found), key=lambda line: line[0])
         return best[1]
