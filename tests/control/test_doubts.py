@@ -102,9 +102,9 @@ def test_quick_regulators_without_monitors_are_told() -> None:
     lags = RegulatorLags(devices, 0.01, np.full(3, 5e5))
     actuators = Actuators(devices, 5e-5, Command.from_inputs(np.zeros(6)), lags)
     doubts, noise = SensorDiagnostics(NAMES, (np.full(3, 5e5), np.full(3, 7.0))), TrackerNoise(6e-4)
-    lags.lead_factor = 0.6
+    lags.nearest_factor = 0.6
     assert not told_now(doubts, actuators, noise, 0.0)
-    lags.lead_factor = 0.25
+    lags.nearest_factor = 0.25
     assert "act 4 times as quickly" in told_now(doubts, actuators, noise, 0.0)["regulators"]
     lags.correct(np.zeros(3), 0.01)
     assert not told_now(doubts, actuators, noise, 0.0)

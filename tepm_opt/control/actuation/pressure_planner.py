@@ -60,7 +60,7 @@ class PressurePlanner:
         self.limits = np.floor(limits / self.step * (1 + 1e-12)) * self.step if self.step else limits
 
     def plan(
-        self, wanted: np.ndarray, command: np.ndarray, pressure: np.ndarray, stages: int, lags: RegulatorLags, fed: np.ndarray | None = None
+        self, wanted: np.ndarray, command: np.ndarray, pressure: np.ndarray, stages: int, lags: RegulatorLags
     ) -> tuple[np.ndarray, np.ndarray]:
         """New commands (actuators,) in Pa and the pressures in the muscles that they lead to, (stages, actuators) in Pa.
 
@@ -70,16 +70,11 @@ class PressurePlanner:
             pressure: in the muscles, (actuators,) in Pa.
             stages: how far ahead.
             lags: of the regulators.
-            fed: part of `wanted` that is feedback, likewise; none where absent.
         """
         window = self.settings.slope_window
         slope = (wanted[window:] - wanted[:-window]) / (window * PERIODS * lags.period)
-        led = np.where(slope > 0, *lags.times) * slope
-        if fed is not None:
-            led += (
-                np.where(slope > 0, *(lags.feedback_times - lags.times)) * (fed[window:] - fed[:-window]) / (window * PERIODS * lags.period)
-            )
-        lead = np.minimum(np.maximum((wanted[window:] + wanted[:-window]) / 2 + led, 0.0), self.limits)
+        led = (wanted[window:] + wanted[:-window]) / 2 + np.where(slope > 0, *lags.times) * slope
+        lead = np.minimum(np.maximum(led, 0.0), self.limits)
         new = self._round_moves(lead[0], command, lags)
         reached = np.empty((stages, len(command)))
         for k in range(stages):  # later moves are not decided yet: they will follow the need
@@ -91,7 +86,7 @@ class PressurePlanner:
     def _round_moves(self, wanted: np.ndarray, command: np.ndarray, lags: RegulatorLags) -> np.ndarray:
         if not self.step:
             return wanted
-        most, lag = self.settings.deadband, np.where(wanted > command, *lags.feedback_times)
+        most, lag = self.settings.deadband, np.where(wanted > command, *lags.times)
         deadband = np.minimum(np.maximum(most * lag / self.settings.slow_lag, min(most, 1.0)), most)
         rounded = on_grid(wanted, self.step, self.limits)
         return np.where(np.abs(wanted - command) > deadband * self.step, rounded, command)

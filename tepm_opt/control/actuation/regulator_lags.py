@@ -65,7 +65,8 @@ class RegulatorLags:
         noise: of the monitors, 1 sigma, from the mean absolute difference of successive readings beside what commands alone lead to (moving
             range; Montgomery, Introduction to Statistical Quality Control, 2009, section 6.4), (actuators,) in Pa.
         factor: on the declared time constants of regulators without a monitor that is believed.
-        lead_factor, feedback_factor: the same for the lead over these lags, of what is known ahead and of feedback.
+        lead_factor: the same for the lead over these lags.
+        nearest_factor: the factor as near to 1 as the doubt about it allows.
     """
 
     def __init__(self, devices: Devices, period: float, ranges: np.ndarray, pressure: np.ndarray | float = 0.0) -> None:
@@ -82,7 +83,7 @@ class RegulatorLags:
         self._most = (MISFIT * ranges) ** 2
         self._misfit = 2 * self._most  # mean square
         self._off, self.noise, self._noisy = np.full(count, np.nan), np.zeros(count), NOISY_MONITOR * ranges
-        self.factor = self.lead_factor = self.feedback_factor = 1.0
+        self.factor = self.lead_factor = self.nearest_factor = 1.0
 
     @property
     def noisy(self) -> np.ndarray:
@@ -109,11 +110,6 @@ class RegulatorLags:
         """Time constants by which pressures lead while filling and while exhausting, (2, actuators) in s."""
         return -self.period / np.log1p(-self._shares_with(self.lead_factor))
 
-    @property
-    def feedback_times(self) -> np.ndarray:
-        """Time constants by which feedback leads, likewise."""
-        return -self.period / np.log1p(-self._shares_with(self.feedback_factor))
-
     def _shares_with(self, factor: float) -> np.ndarray:
         fits = (self._misfit < self._most) & (np.abs(self.offset) ** 2 < 36 * self._most)
         monitored = np.where(fits, self.shares, self._declared)
@@ -129,7 +125,7 @@ class RegulatorLags:
     @property
     def findings(self) -> RegulatorFindings:
         """Differences from the robot file, as diagnostics take them."""
-        common = 1.0 if self.believed.all() else 1 / self.lead_factor
+        common = 1.0 if self.believed.all() else 1 / self.nearest_factor
         return RegulatorFindings(self.quicker, np.where(self.noisy, self.noise, 0.0), common)
 
     def lag(self, pressure: np.ndarray, command: np.ndarray, periods: int = 1) -> np.ndarray:

@@ -52,10 +52,10 @@ class LagFactor:
         self._by_pressure, self._by_state = np.zeros(actuators), np.zeros(states)  # slopes of pressures in Pa and states by the factor
 
     def tell(self, lags: RegulatorLags) -> None:
-        """Let lags go by the factor: as estimated, led by what is nearest to the declared lag within its doubt, fed back by the least."""
+        """Let lags go by the factor: as estimated, led by the least within its doubt."""
         doubt = CAUTION * math.sqrt(self.variance)
-        lags.factor, lags.lead_factor = self.value, min(max(1.0, self.value - doubt), self.value + doubt)
-        lags.feedback_factor = max(self.value - doubt, LEAST_FACTOR)
+        lags.factor, lags.lead_factor = self.value, max(self.value - doubt, LEAST_FACTOR)
+        lags.nearest_factor = min(max(1.0, self.value - doubt), self.value + doubt)
 
     def advance(self, actuators: Actuators) -> np.ndarray:
         """Carry the pressures' slopes a period on, before the actuators are; slopes of the axial forces at its start and end in N,

@@ -236,16 +236,15 @@ class PythonStep:
         if settings.use is Use.TENSION:
             return now, np.tile(now, (stages, 1))
         need = horizon.forces[1 : planner.preview + 1] + horizon.dynamic[: planner.preview] + horizon.rest_force
-        fed = np.zeros_like(need)
         if settings.mid_ranging:
             need = need - state.slow
             if state.planned is not None:
                 extra = state.planned - horizon.rest_force - horizon.dynamic[:stages]
                 state.extra = state.extra + (1 - np.exp(-period / planner.feedback_time)) * (extra - state.extra)
                 part = 1.0 if state.pressed else min(1.0, horizon.speed / planner.full_feedback_speed)
-                fed[:stages] = part * np.linspace(1, 0, stages)[:, None] * state.extra
-        wanted = (need + fed - state.effects.forces + pulled) / actuators.area
+                need[:stages] += part * np.linspace(1, 0, stages)[:, None] * state.extra
+        wanted = (need - state.effects.forces + pulled) / actuators.area
         hysteresis, turning = behind
         rises = setup.area * np.diff(np.vstack([wanted[:1], wanted]), axis=0)
         wanted = wanted + hysteresis * dahl_sequence(turning, rises, setup.filter.hysteresis_width) / actuators.area
-        return setup.planner.plan(wanted, now, actuators.pressure, stages, actuators.lags, fed / actuators.area)
+        return setup.planner.plan(wanted, now, actuators.pressure, stages, actuators.lags)

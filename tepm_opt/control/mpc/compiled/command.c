@@ -45,7 +45,7 @@ static void note(step *o) {
   o->out.common[0] = 1;
   for (int j = 0; j < NA; j++) {
     o->out.monitor_noise[j] = is_noisy(o, a, j) ? a->noise[j] : 0;
-    if (!is_believed(o, a, j)) o->out.common[0] = 1 / a->lead_factor;
+    if (!is_believed(o, a, j)) o->out.common[0] = 1 / a->nearest_factor;
   }
   o->out.late[0] = (o->ahead - o->declared) * s->period + lateness(o, a);
   if (o->samples >= NOISE_WINDOW && o->samples % NOISE_EVERY == 0)
@@ -144,12 +144,7 @@ static void plan_pressures(step *o, const devices *acted, const double *area, co
   double part = least(1, h->speed / s->full_feedback_speed);
   for (int j = 0; j < NA; j++) {
     double times[2] = {-s->period / log1p(-share_of(o, a, j, 0)), -s->period / log1p(-share_of(o, a, j, 1))};
-    double fed_times[2] = {times[0], times[1]}, fed[PREVIEW] = {0};
-    if (is_unmonitored(o, a, j))
-      for (int k = 0; k < 2; k++) {
-        times[k] = -s->period / log1p(-a->common[1][k]);
-        fed_times[k] = -s->period / log1p(-a->common[2][k]);
-      }
+    if (is_unmonitored(o, a, j)) for (int k = 0; k < 2; k++) times[k] = -s->period / log1p(-a->common[1][k]);
     double wanted[PREVIEW], lead[PREVIEW - WINDOW], direction = turning[j], before = 0, pressure = acted->pressure[j];
     o->slow[j] += s->slow_share * (mean[FORCE + j] - o->slow[j]);
     for (int k = 0; k < PREVIEW; k++) {
@@ -159,8 +154,7 @@ static void plan_pressures(step *o, const devices *acted, const double *area, co
         if (o->planned_there && k < STAGES) {
           double extra = o->planned[k][j] - rest_force[j] - h->dynamic[k][j];
           o->extra[k][j] += s->feedback_share * (extra - o->extra[k][j]);
-          fed[k] = part * (STAGES > 1 ? 1 - k / (double)(STAGES - 1) : 1) * o->extra[k][j];
-          need += fed[k];
+          need += part * (STAGES > 1 ? 1 - k / (double)(STAGES - 1) : 1) * o->extra[k][j];
         }
       }
       double plain = (need - a->extra[j] + still[k][j] + o->factor[k][j] * s->rest_tension[j]) / area[j];
@@ -170,14 +164,12 @@ static void plan_pressures(step *o, const devices *acted, const double *area, co
     }
     for (int k = 0; k < PREVIEW - WINDOW; k++) {
       double slope = (wanted[k + WINDOW] - wanted[k]) / (WINDOW * PERIODS * s->period);
-      double fed_slope = (fed[k + WINDOW] - fed[k]) / area[j] / (WINDOW * PERIODS * s->period);
-      double led = times[!(slope > 0)] * slope + (fed_times[!(slope > 0)] - times[!(slope > 0)]) * fed_slope;
-      lead[k] = within((wanted[k + WINDOW] + wanted[k]) / 2 + led, 0, o->set.pressure_max[j]);
+      lead[k] = within((wanted[k + WINDOW] + wanted[k]) / 2 + times[!(slope > 0)] * slope, 0, o->set.pressure_max[j]);
     }
     pressures[j] = lead[0];
     if (s->grid > 0) {
       double steps = within(rint(lead[0] / s->grid), 0, floor(s->pressure_max[j] / s->grid * (1 + 1e-12)));
-      double deadband = within(s->deadband * fed_times[!(lead[0] > now[j])] / s->slow_lag, least(s->deadband, 1), s->deadband);
+      double deadband = within(s->deadband * times[!(lead[0] > now[j])] / s->slow_lag, least(s->deadband, 1), s->deadband);
       pressures[j] = fabs(lead[0] - now[j]) > deadband * s->grid ? steps * s->grid : now[j];
     }
     for (int k = 0; k < STAGES; k++) {

@@ -15,9 +15,9 @@ static void set_factor(const step *o, actuators *a, double factor, double varian
   a->factor = factor;
   a->factor_variance = variance;
   double doubt = s->factor_caution * sqrt(variance);
-  a->lead_factor = within(1, factor - doubt, factor + doubt);
-  double factors[3] = {factor, a->lead_factor, most(factor - doubt, s->factor_least)};
-  for (int k = 0; k < 3; k++)
+  a->nearest_factor = within(1, factor - doubt, factor + doubt);
+  double factors[2] = {factor, most(factor - doubt, s->factor_least)};
+  for (int k = 0; k < 2; k++)
     for (int i = 0; i < 2; i++) a->common[k][i] = least(1 - pow(1 - (i ? s->exhausting : s->filling), 1 / factors[k]), 1 - s->at_once);
 }
 

@@ -103,6 +103,9 @@ class StepSetup:
             computing: time in s from a sample to its command, which counts as delay.
         """
         robot, half, reference = model.robot, model.layout.inputs // 2, reference.rewind()
+        believed = settings.filter or replace(FilterSettings(), **model.model.filter)
+        if reference.stops:
+            settings, believed = settings.for_settling(believed)
         devices, tracker, period = Devices.from_model(model), robot.tracker, reference.period
         pressure_max, tension_max = robot.input_max[:half], robot.input_max[half:]
         late = (tracker.latency_s if tracker else 0.0) + devices.delay
@@ -110,7 +113,6 @@ class StepSetup:
         noise = max((tracker.noise_rms_m if tracker else 1e-3) / np.sqrt(3), 1e-6)
         first = _first_command(model, reference.forces[0], settings)
         start = modal_model(reference.equilibria[0]).scale_damping(settings.damping)
-        believed = settings.filter or replace(FilterSettings(), **model.model.filter)
         filtering = believed.with_friction_prior(model.tendon_friction, settings.mid_range * float(tension_max[0]))
         planner = PressurePlanner(pressure_max, robot.actuation.pressure_step, settings.pressure_planner)
         if half := model.pressure_hysteresis * model.values["A"]:

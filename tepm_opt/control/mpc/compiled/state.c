@@ -52,8 +52,8 @@ typedef struct {
   double rate[NA], late, weight, spread;
   double share[2][NA], path[NA], rise[NA], turned[NA], offset_path[NA], misfit[NA], covariance[3][3][NA], slope[2][NA]; /* actuation/regulator_lags.py */
   double off[NA], noise[NA]; /* readings above what lags and offset explain, NaN before the first one; noise of the monitors */
-  double factor, lead_factor, factor_variance, common[3][2], by_factor[NA]; /* mpc/lag_factor.py; common: shares with the factors for
-    lags, lead and lead of feedback */
+  double factor, nearest_factor, factor_variance, common[2][2], by_factor[NA]; /* mpc/lag_factor.py; common: shares with the factors for
+    lags and lead */
   double entered[2 * NA], memory[MEMORY + 1], extra[NA]; /* what the model's effects make of pressures and tensions, in N */
 } actuators;
 
