@@ -13,7 +13,7 @@ from tepm_opt.models.effect import BEGAN, CLOCK, Context, Effect, Parameter, Pro
 
 FINE = 8  # frequencies to one that the session's length resolves
 AROUND, SLOWEST = 0.25, 0.5  # Hz: surroundings of a line, and below which it is no vibration
-CONTRAST = 20.0  # times the median of its surroundings that is no line; sway that decays has less
+CONTRAST = 20.0  # times the median of its surroundings above which it is surely a line; sway that decays has less
 ALIKE = 0.8  # part of a line from which it is one motion of all points
 
 
@@ -63,7 +63,7 @@ class BaseVibration(Effect):
     def suggest_values(self, clock: np.ndarray, began: np.ndarray, left: np.ndarray) -> Mapping[str, float]:
         """The line with most power above its surroundings in the spectrum of all runs together, with phases of either kind.
 
-        Where all points move alike in it, it is the tracker's stand that moves.
+        Where none is surely a line it is what stands out most. Where all points move alike in it, it is the tracker's stand that moves.
         """
         step, starts = float(np.median(np.diff(clock))), np.unique(began)
         length = next_fast_len(int(FINE * (clock[-1] - clock[0]) / step) + 1, real=True) or 1
@@ -76,14 +76,15 @@ class BaseVibration(Effect):
             alone.append(np.fft.rfft(samples, axis=0))
         turned = [np.exp(-2j * np.pi * frequency * start)[:, None] * own for start, own in zip(starts, alone, strict=True)]
         around = 2 * int(AROUND / frequency[1]) + 1
-        best = (-np.inf, {})
+        best = ((0.0, 0.0), {})
         for restarts, parts in ((0.0, turned), (1.0, alone)):
             lines = np.sum(parts, axis=0)
             power = np.sum(np.abs(lines) ** 2, axis=1)
-            above = power - CONTRAST * median_filter(power, around, mode="nearest")
-            at = int(np.argmax(np.where(frequency > SLOWEST, above, -np.inf)))
+            middle = np.maximum(median_filter(power, around, mode="nearest"), 1e-30)
+            above = np.where(frequency > SLOWEST, np.maximum(power - CONTRAST * middle, 0.0), 0.0)
+            at = int(np.argmax(above if above.any() else np.where(frequency > SLOWEST, power / middle, 0.0)))
             moves = lines[at].reshape(-1, 3)  # every point along every axis
             alike = len(moves) * np.sum(np.abs(moves.mean(axis=0)) ** 2) > ALIKE * power[at]
             found = {"frequency": float(frequency[at]), "restarts": restarts, "inertia": 0.0 if alike else 1.0}
-            best = max(best, (float(above[at]), found), key=lambda line: line[0])
+            best = max(best, ((float(above[at]), float(power[at])), found), key=lambda line: line[0])
         return best[1]
