@@ -32,8 +32,8 @@ def test_calm_settings_are_for_targets_and_keep_the_model_file_s_filter() -> Non
 
 
 @pytest.mark.slow
-def test_a_machine_without_friction_settles() -> None:
-    """0.71 mm with the settings for paths, 0.48 mm when written."""
+def test_targets_are_held_better_than_with_the_settings_for_paths() -> None:
+    """0.71 mm with these, 0.48 mm when written."""
     known = model()
     rig = prototype(1, random_machine("kang2017", 900, 1))
     assert close_loop(rig, Mpc(known, reference("points", 12)), known.robot).error() < 6e-4
