@@ -57,6 +57,16 @@ def test_score_and_information_are_those_of_a_column_that_begins_at_a_mark() -> 
     assert np.argmax(left.score[:, 0, 1] ** 2 / left.information[:, 0, 1, 1]) in range(12, 18), "the change began at the 15th mark"
 
 
+def test_a_mark_before_any_row_tells_of_no_change() -> None:
+    """No residual says what is noise; it was 0 / 0, with a warning on the terminal."""
+    sums = Sums(SPREADS, 1, marks=30, least=1.0)
+    sums.mark()
+    sums.add(np.column_stack([*regression(1, 2.0)[::-1]])[None])
+    left = sums.score_changes()
+    assert not left.score.any()
+    assert not left.information.any()
+
+
 def _explained(columns: np.ndarray, measured: np.ndarray) -> float:
     by = columns.T @ measured
     return float(by @ np.linalg.solve(columns.T @ columns + np.diag(SPREADS**-2.0), by))

@@ -108,9 +108,13 @@ class Sums:
         self._marks.append((self._sum, self._rows))
 
     def score_changes(self) -> GlrStatistics:
-        """Score and information of a change at each mark, the oldest first; the noise is the residual before the first mark."""
+        """Score and information of a change at each mark, the oldest first; the noise is the residual before the first mark.
+
+        Without a row before it the noise is not known, and nothing tells of a change.
+        """
         begun, rows = self._marks[0]
-        noise = np.maximum((begun[:, 0, 0] - self._sum_explained_squares(begun)) / rows, self._least)
+        left = begun[:, 0, 0] - self._sum_explained_squares(begun)
+        noise = np.maximum(left / rows, self._least) if rows else np.full(len(left), np.inf)
         whole = self._sum
         inverse = np.linalg.inv(whole[:, 1:, 1:] + self._prior)
         theta = (inverse @ whole[:, 1:, :1])[..., 0]
