@@ -41,7 +41,7 @@ class PressurePlannerSettings:
     slow_lag: float = 0.06
     quantised: bool = True
     full_feedback_speed: float = 0.2
-    feedback_time: float = 0.05
+    feedback_time: float = 0.025
     disturbance_time: float = 0.3
 
 

@@ -75,11 +75,13 @@ class GlrStatistics:
         score: (times, …, columns).
         information: (times, …, columns, columns).
         theta: estimate of θ from all measurements, (…, columns).
+        noise: over what is assumed (variances), (machines,).
     """
 
     score: np.ndarray
     information: np.ndarray
     theta: np.ndarray
+    noise: np.ndarray
 
 
 class Sums:
@@ -121,7 +123,14 @@ class Sums:
         since = whole - np.array([sums for sums, _ in self._marks])
         part = since[..., 1:, 1:]
         score = (since[..., 1:, 0] - (part @ theta[..., None])[..., 0]) / noise[:, None]
-        return GlrStatistics(score, (part - part @ inverse @ part) / noise[:, None, None], theta)
+        return GlrStatistics(score, (part - part @ inverse @ part) / noise[:, None, None], theta, noise)
+
+    def measure_misfit(self, mark: int, machine: int, evidence: float, noise: np.ndarray) -> tuple[int, float]:
+        """Rows since a mark, and the sum of squares over the noise that a change which explains them with an evidence leaves of them."""
+        sums, rows = self._marks[mark]
+        since = self._sum[machine, 0, 0] - self._sum_explained_squares(self._sum)[machine]
+        since -= sums[machine, 0, 0] - self._sum_explained_squares(sums)[machine]
+        return self._rows - rows, float(since / noise[machine]) - 2 * evidence
 
     def _sum_explained_squares(self, sums: np.ndarray) -> np.ndarray:
         by = sums[:, 1:, :1]

@@ -200,7 +200,7 @@ class Monitor:
         self.evidence = float(np.logaddexp.reduce(each))
         beyond = self.evidence > self.settings.evidence
         if beyond and (self._suspected or self._open):
-            changed = self._explain_change(now, each, found, sizes)
+            changed = self._explain_change(now, self._temper(each, found, left), found, sizes)
             if self._open:
                 self.changes[-1] = replace(changed, told=self.changes[-1].told)
             else:
@@ -209,6 +209,16 @@ class Monitor:
         self._suspected = beyond
         if self._open and now > self.changes[-1].told + self.settings.named:
             self._restart(now)
+
+    def _temper(self, each: np.ndarray, found: np.ndarray, left: Mapping[str, GlrStatistics]) -> np.ndarray:
+        """Evidence of each cause where the noise is what the likeliest one leaves: t instead of normal errors.
+
+        A change that is much larger than the noise is never explained to the noise, and what is left would decide between causes alike.
+        """
+        best = int(each.argmax())
+        of, mark = self._causes[best], int(found[:, best].argmax())
+        rows, misfit = self._sums[of.regression].measure_misfit(mark, of.machine, each[best], left[of.regression].noise)
+        return -0.5 * rows * np.log1p(2 * (each[best] - each) / max(misfit, rows))
 
     def _explain_change(self, now: float, each: np.ndarray, found: np.ndarray, sizes: np.ndarray) -> Changed:
         parts = np.exp(each - np.logaddexp.reduce(each))

