@@ -22,7 +22,8 @@ CLOSE = 5e-3  # m, largest root mean square error of the tip on the circle
 LOOP = "tepm_opt close_loop, MPC on the virtual prototype"
 
 
-def _course(model: CompiledModel, laps: float) -> Reference:
+def circle_with_approach(model: CompiledModel, laps: float) -> Reference:
+    """Laps of the circle, from rest."""
     tips, counted = sample_tips(circle(400), laps=laps)
     lead = approach(model, tips[0], APPROACH)
     return reference_of(model, np.vstack([lead, tips]), np.concatenate([np.zeros(len(lead), dtype=bool), counted]))
@@ -32,7 +33,7 @@ class RecordedLoop:
     """A controller on samples of the circle that were recorded in closed loop, again and again from the start."""
 
     def __init__(self, model: CompiledModel) -> None:
-        self._model, self._reference = model, _course(model, 1.0)
+        self._model, self._reference = model, circle_with_approach(model, 1.0)
         self._samples: list[Sample] = []
         rig, self._controller = SimulatedRig(), Mpc(model, self._reference)
         rig.apply(self._controller.start())
@@ -74,7 +75,7 @@ class RecordedLoop:
 def tasks(session: Session) -> list[Task]:
     """One lap of the circle in closed loop, from rest; the answer is the tip's error."""
     model, figures = session.scene.model, {}
-    reference = _course(model, 1.0)
+    reference = circle_with_approach(model, 1.0)
 
     def judged(done: LoopRecord) -> np.ndarray:
         figures["late"] = float((np.array(done.seconds) > reference.period).mean())

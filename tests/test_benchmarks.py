@@ -11,6 +11,7 @@ import typer
 from typer.testing import CliRunner
 
 from benchmarks.__main__ import main
+from benchmarks.casadi_step import Case, filter_functions, horizon_functions, prepare_call
 from benchmarks.goals import Goal, faster, times_real, within
 from benchmarks.history import PAGE, page_text, read_history
 from benchmarks.inputs import data_sets
@@ -125,3 +126,13 @@ def test_figures_have_names_of_their_own():
 
 def test_the_page_shows_the_history():
     assert page_text(read_history()) == PAGE.read_text(encoding="utf-8")
+
+
+def test_the_controller_s_arithmetic_in_casadi_is_the_controller_s() -> None:
+    """Else its times would say nothing of the controller."""
+    case = Case()
+    for function in [*filter_functions(), *horizon_functions()]:
+        call, found = prepare_call(function, case.arguments[function.name()])
+        call()
+        for values, right in zip(found, case.answers[function.name()], strict=True):
+            assert values == pytest.approx(np.ravel(right, order="F"), rel=1e-9, abs=1e-12 * np.abs(right).max())
