@@ -20,7 +20,7 @@ from tepm_opt.hw.simulation.family import random_machine
 from tepm_opt.hw.simulation.rig import SimulatedRig
 from tepm_opt.models.compile import CompiledModel
 from tepm_opt.solvers.planning.trajectories import circle
-from tests.control.changes import Changing, change_of, path
+from tests.control.changes import Change, Changing, change_of, path
 from tests.control.study import APPROACH, model
 
 SPREADS = np.array([1.0, 2.0])
@@ -176,6 +176,22 @@ def test_a_change_is_told_and_named(quick: Reference, kind: str, seed: int, leas
     assert 11.5 <= changes[0].told < 21.5
     assert "machine" in done.telemetry[-1].doubts
     assert sum(changes[0].probabilities.values()) <= 1 + 1e-9
+
+
+@pytest.mark.slow
+def test_a_tip_marker_that_slips_by_3_mm_is_told(quick: Reference) -> None:
+    """By the shape over some seconds: the jump alone is within the noise."""
+
+    def slipped(sample: Sample, change: Change) -> Sample:
+        return replace(sample, points=sample.points + np.outer([0, 0, 0, 1], 3e-3 * change.way))
+
+    change = Change(0, 3, np.array([0.6, 0.0, 0.8]), lambda _, point: (f"marker {point}",), lie=slipped)
+    controller = attach_monitor(Mpc(model(), quick), model(), replace(DEFAULT, learns=8.0))
+    assert isinstance(controller, Watched)
+    done = close_loop(Changing(random_machine("kang2017", 71001, 3), change, 11.5, 1), controller, model().robot)
+    assert "marker s4" not in done.telemetry[-1].doubts
+    assert controller.monitor.changes[0].told < 17.5
+    assert controller.monitor.changes[0].probabilities["marker s4"] > 0.9
 
 
 @pytest.mark.slow
