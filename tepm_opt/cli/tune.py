@@ -1,4 +1,4 @@
-"""`tepm tune`: noise levels of the controller's filter from the log of a closed loop."""
+"""`tepm tune`: settings of the controller's filter from the log of a closed loop."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ def comparison(run: TuneRun) -> Table:
     """Table of all candidates, the chosen one bold."""
     from tepm_opt.control.estimation.filter_tuning import HORIZONS
 
-    table = Table("friction ×", "strength ×", *(f"error at {horizon:.2f} s, mm" for horizon in HORIZONS), "")
+    table = Table("travel ×", "friction ×", "strength ×", *(f"error at {horizon:.2f} s, mm" for horizon in HORIZONS), "")
     for each in run.candidates:
-        cells = [f"{each.friction:g}", f"{each.strength:g}", *(f"{1e3 * error:.2f}" for error in each.errors)]
+        cells = [f"{each.travel:g}", f"{each.friction:g}", f"{each.strength:g}", *(f"{1e3 * error:.2f}" for error in each.errors)]
         note = "chosen" if each is run.chosen else "hand-set" if each.hand_set else ""
         table.add_row(*cells, note, style="bold" if each is run.chosen else None)
     return table
@@ -37,7 +37,7 @@ def tune(
     model: ModelOption = None,
     as_json: JsonOption = False,
 ) -> int:
-    """Tune the filter of the predictive controller on a closed-loop log: the noise levels that predict the tip best.
+    """Tune the filter of the predictive controller on a closed-loop log: travel of the friction and noise levels that predict the tip best.
 
     Use a path that reverses every muscle, such as the circle, driven with the same model. The result is a model file for --model.
     """
@@ -49,7 +49,7 @@ def tune(
         stdout.print(comparison(run))
     before, after = (1e3 * each.errors[-1] for each in (run.candidates[0], run.chosen))
     lines = [
-        "hand-set noise levels predict best; they are kept"
+        "hand-set values predict best; they are kept"
         if run.chosen.hand_set
         else f"prediction error of the tip at 0.30 s: {before:.2f} mm hand-set, [bold]{after:.2f} mm[/] tuned",
         f"Next: drive with it: tepm mpc circle --model {escape(shlex.quote(str(out)))}",

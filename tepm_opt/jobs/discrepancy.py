@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from tepm_opt.control.estimation.filter_tuning import levels_of_explained
+from tepm_opt.control.estimation.filter_tuning import settings_of_explained
+from tepm_opt.control.mpc.settings import MpcSettings
 from tepm_opt.data.checks.dataset import check_reading
 from tepm_opt.data.checks.findings import Finding
 from tepm_opt.data.datasets import DataSet, write_dataset
@@ -44,6 +45,7 @@ from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.mechanics.plant import PredictionError
 
 VERDICT, FITS, EFFECTS = "verdict.json", ".fits.json", "effects"
+PULLS = 0.01  # of a motor's range: tension from which it pulls
 
 
 def checked_dataset(folder: Path, despite_errors: bool = False, mends_setup: bool = False) -> tuple[DataSet, list[str]]:
@@ -167,7 +169,7 @@ def _explain_robot(asked: Asked, seed: int, limit: TimeLimit, progress: Progress
     if not result.verdict.setup:
         checked_datasets(folders, asked.despite_errors)  # refuses errors of the set-up that the workflow did not find
     explained = not result.verdict.setup and result.verdict.status is not VerdictStatus.UNEXPLAINED
-    write_model(levels_of_explained(result.verdict.model) if explained else result.verdict.model, out / MODEL)
+    write_model(_with_filter(result.verdict.model, dataset) if explained else result.verdict.model, out / MODEL)
     if asked.mend and result.verdict.setup:
         write_dataset(dataset.with_runs(mend_runs(dataset.runs, result.verdict.setup)), out / MENDED, overwrite=True)
     if asked.invent and result.verdict.status in (VerdictStatus.UNEXPLAINED, VerdictStatus.PARTIAL):
@@ -175,6 +177,15 @@ def _explain_robot(asked: Asked, seed: int, limit: TimeLimit, progress: Progress
     result = add_advice(result, replace(asked, ended_early=limit.was_short))
     _write(result, out, warnings, limit, {"data": [_seen_from(out, each) for each in folders], "model": _seen_from(out, model)})
     return result
+
+
+def _with_filter(model: Model, dataset: DataSet) -> Model:
+    """A model that explains a data set, with settings of the controller's filter for it."""
+    most = model.robot.input_max
+    tensions = np.concatenate([run.inputs[:, len(most) // 2 :].ravel() for run in dataset.runs])
+    pulled = tensions[tensions > PULLS * most[-1]]
+    middle = MpcSettings().mid_range * float(most[-1])
+    return settings_of_explained(model, float(np.sqrt(np.mean(pulled**2))) if len(pulled) else 0.0, middle)
 
 
 def _explain_plant(asked: Asked, file: Path, seed: int, limit: TimeLimit, progress: Progress) -> Discovery:

@@ -31,7 +31,7 @@ class TuneRun:
     """Result of a tuning.
 
     Attributes:
-        model: with the chosen noise levels.
+        model: with the chosen settings.
         log: file of the closed loop.
         seconds: duration of the log in s.
         candidates: all that were compared, the hand-set values first.
@@ -43,12 +43,13 @@ class TuneRun:
     candidates: tuple[Candidate, ...]
 
     def __repr__(self) -> str:
-        return f"TuneRun({self.log}: friction × {self.chosen.friction:g}, strength × {self.chosen.strength:g})"
+        scales = f"travel × {self.chosen.travel:g}, friction × {self.chosen.friction:g}, strength × {self.chosen.strength:g}"
+        return f"TuneRun({self.log}: {scales})"
 
     @property
     def chosen(self) -> Candidate:
-        """The candidate with the least criterion."""
-        return min(self.candidates, key=lambda each: each.criterion)
+        """The candidate with the least criterion, of those with the travel that was taken."""
+        return min((each for each in self.candidates if each.travel == self.candidates[-1].travel), key=lambda each: each.criterion)
 
     @property
     def ok(self) -> bool:
@@ -60,7 +61,8 @@ class TuneRun:
 
         def numbers_of(each: Candidate) -> dict[str, Any]:
             errors = {f"{horizon:.2f}": error for horizon, error in zip(HORIZONS, each.errors, strict=True)}
-            return {"friction_scale": each.friction, "strength_scale": each.strength, "prediction_error_m": errors}
+            scales = {"travel_scale": each.travel, "friction_scale": each.friction, "strength_scale": each.strength}
+            return scales | {"prediction_error_m": errors}
 
         return {
             "robot": self.model.robot.name,
@@ -156,7 +158,8 @@ def _samples(run: Run, names: tuple[str, ...]) -> list[tuple[Sample, Command]]:
 
 
 def run_tune(model: CompiledModel, log: str | Path, progress: Progress = silent) -> TuneRun:
-    """Choose the filter's noise levels of dry friction and muscle strength by the prediction errors over a closed-loop log.
+    """Choose the travel over which friction turns over and the filter's noise levels of friction and muscle strength by the prediction
+    errors over a closed-loop log.
 
     Args:
         model: of the controller that drove the loop; its own `filter` does not count.

@@ -30,7 +30,7 @@ class Model:
         parameters: what differs from the robot file, by name, SI.
         effects: additional effects, in the order they act; those of devices act before the others.
         source: name or path by which a model file refers to the robot; models that differ only in it are equal.
-        filter: noise levels of the predictive controller's filter by name (`FILTER_UNITS`), SI; see `tepm tune`.
+        filter: settings of the predictive controller's filter by name (`FILTER_UNITS`), SI; see `tepm tune`.
     """
 
     robot: Robot
@@ -159,16 +159,19 @@ def check_effects(effects: Sequence[ActiveEffect], layout: Layout, where: str) -
 
 
 class _FilterTable(Section):
-    """Noise levels of the predictive controller's filter; `FilterSettings` says what each is."""
+    """Settings of the predictive controller's filter; `FilterSettings` says what each is."""
 
     friction_std: Annotated[float, require_range(0.0, 100.0, "N")] = 0.0
     friction_drift: Annotated[float, require_range(0.0, 100.0, "N/√s")] = 0.0
     strength_std: Annotated[float, require_range(0.0, 1.0, "")] = 0.0
     strength_drift: Annotated[float, require_range(0.0, 1.0, "1/√s")] = 0.0
+    presliding_distance: Annotated[float, require_range(1e-5, 0.05, "m")] = 5e-4
 
 
-FILTER_UNITS = {"friction_std": "N", "friction_drift": "N/√s", "strength_std": "of p A", "strength_drift": "1/√s"}
-"""Units of the noise levels that a model file may have."""
+FILTER_UNITS = {
+    "friction_std": "N", "friction_drift": "N/√s", "strength_std": "of p A", "strength_drift": "1/√s", "presliding_distance": "m",
+}  # fmt: skip
+"""Units of the filter's settings that a model file may have."""
 
 
 class _EffectTable(Section):

@@ -9,11 +9,10 @@ from pathlib import Path
 import pytest
 
 from tepm_opt.jobs.course import Course
+from tepm_opt.models.model import FILTER_UNITS
 from tests.cli.conftest import Command
 
 pytest.importorskip("mujoco")
-
-KEYS = {"friction_std", "friction_drift", "strength_std", "strength_drift"}
 
 
 @pytest.mark.slow
@@ -26,7 +25,7 @@ def test_tune_from_loop_to_loop(tepm: Command, here: Path, monkeypatch: pytest.M
     assert "hand-set" in told.out
     assert told.out.splitlines()[-1].endswith("tepm mpc circle --model tuned.toml")
     levels = tomllib.loads((here / "tuned.toml").read_text(encoding="utf-8"))["filter"]
-    assert set(levels) == KEYS
+    assert set(levels) == set(FILTER_UNITS)
     as_json = tepm("tune", "run/log.csv", "--model", "tuned.toml", "--json").json()
     assert as_json["filter"] == levels  # tuned once more from the hand-set values, not from the tuned ones
     assert json.dumps(as_json["candidates"][0]["friction_scale"]) == "1.0"

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tepm_opt.control.estimation.filter_tuning import compare_scales, scale_noise
+from tepm_opt.control.estimation.filter_tuning import MOST_TRAVEL, compare_scales, scale_noise, settings_of_explained
 from tepm_opt.control.estimation.kalman_filter import DEFAULT, Estimator, FilterSettings
 from tepm_opt.control.mpc.controller import Mpc, MpcSettings
 from tepm_opt.control.references.reference import Reference, reference_of
@@ -21,10 +21,11 @@ from tepm_opt.jobs.closed_loop import LoopSetup
 from tepm_opt.jobs.mpc import run_closed_loop
 from tepm_opt.jobs.tune import filter_inputs, read_log, run_tune
 from tepm_opt.models.compile import CompiledModel, compile_model
-from tepm_opt.models.model import Model, read_model, write_model
+from tepm_opt.models.model import FILTER_UNITS, Model, read_model, write_model
 from tests.control.study import model, prototype, reference
 from tests.control.study_models import alone
 
+EXPLAINED = {"strength_std": 0.015, "strength_drift": 0.0015}
 LEVELS = {"friction_std": 0.2, "friction_drift": 0.05, "strength_std": 0.015, "strength_drift": 0.0015}
 
 
@@ -61,25 +62,44 @@ def test_the_replay_gives_what_the_controller_estimated(short_log: Path) -> None
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("file", "friction", "falls"),
-    [(alone(()), 0.1, 0.1), (random_machine("kang2017", 60411, 0), 1.0, 0.03)],
-    ids=["no friction", "friction of a random machine"],
-)
-def test_uncertainty_of_friction_is_scaled_as_the_machine_has_it(tmp_path: Path, file: RigFile, friction: float, falls: float) -> None:
-    """On a machine that is the model nothing is uncertain; where friction is large its estimate must be free to move."""
+    ("file", "friction", "travel", "falls"),
+    [
+        (alone(()), 0.1, None, 0.1), (random_machine("kang2017", 60411, 0), 1.0, 1.0, 0.03),
+        (random_machine("kang2017", 84415, 8), 1.0, 4.0, 0.05),
+    ],
+    ids=["no friction", "friction of a random machine", "friction of soft bristles"],
+)  # fmt: skip
+def test_friction_is_as_uncertain_and_as_soft_as_the_machine_has_it(
+    tmp_path: Path, file: RigFile, friction: float, travel: float | None, falls: float
+) -> None:
+    """On a machine that is the model nothing is uncertain; where friction is large its estimate must be free to move. On the last machine
+    friction turns over in 2.8 mm at the tension that motors hold, on the second in 0.4 mm."""
     run = run_tune(model(), driven(tmp_path / "run", file, 900))
     assert run.chosen.friction == friction
+    assert travel is None or run.chosen.travel == travel
     assert run.chosen.errors[-1] < (1 - falls) * run.candidates[0].errors[-1]
-    assert run.model.filter == pytest.approx({name: getattr(run.chosen.settings, name) for name in LEVELS})
+    assert run.model.filter == pytest.approx({name: getattr(run.chosen.settings, name) for name in FILTER_UNITS})
     told = run.summary()
     assert told["chosen"]["friction_scale"] == friction
-    assert len(told["candidates"]) == 6
+    assert len(told["candidates"]) == 8
 
 
 def test_scales_act_on_both_noise_levels_alike() -> None:
     scaled = scale_noise(DEFAULT, 0.1, 0.3)
     changed = {name: getattr(scaled, name) for name in vars(DEFAULT) if getattr(scaled, name) != getattr(DEFAULT, name)}
     assert changed == pytest.approx(LEVELS)
+
+
+def test_a_verdict_s_model_has_the_travel_at_the_tension_of_the_loop() -> None:
+    """Bristles bend in proportion to the tension, as far as reversals are known in time."""
+    soft = Model.from_robot("kang2017").with_effect("tendon_friction", share=0.3, by_motion=1.0, travel=3e-4)
+    assert settings_of_explained(soft, 1.0, 3.5).filter == pytest.approx(EXPLAINED | {"presliding_distance": 1.05e-3})
+    assert settings_of_explained(soft, 0.1, 3.5).filter["presliding_distance"] == MOST_TRAVEL
+    assert settings_of_explained(soft, 0.0, 3.5).filter == pytest.approx(EXPLAINED)
+    through = Model.from_robot("kang2017").with_effect("tendon_friction", share=0.3, by_motion=0.0, travel=3e-4)
+    assert settings_of_explained(through, 1.0, 3.5).filter == pytest.approx(EXPLAINED)
+    own = replace(soft, filter={"presliding_distance": 7e-4})
+    assert settings_of_explained(own, 1.0, 3.5).filter["presliding_distance"] == 7e-4
 
 
 def test_the_controller_takes_the_levels_of_the_model_unless_it_is_told_others() -> None:

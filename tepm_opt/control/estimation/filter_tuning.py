@@ -1,4 +1,5 @@
-"""Tuning of the Kalman filter on a closed-loop log: the noise levels whose predictions of the tracked tip are best.
+"""Tuning of the Kalman filter on a closed-loop log: the noise levels and the travel over which friction turns over whose predictions of the
+tracked tip are best.
 
 The controller uses what the filter predicts for the next 0.3 s, so candidates are compared by the mean squared prediction errors at 0.05,
 0.15 and 0.30 s, weighted alike by their logarithms. The likelihood of the innovations, one period ahead, does not improve the closed loop.
@@ -20,6 +21,9 @@ from tepm_opt.progress import Progress, silent, track
 HORIZONS = (0.05, 0.15, 0.30)  # s; the longest is the controller's prediction horizon
 FRICTION_SCALES = (1.0, 0.3, 0.1)  # of the hand-set values; larger ones predicted worse in the study
 STRENGTH_SCALES = (1.0, 0.3)  # 0.1 and 0.3 predict alike: less than 0.3 % apart
+TRAVEL_SCALES = (1.0, 2.0, 4.0)  # of the hand-set distance; where half of it is right, it costs little
+SOFTER = 0.15  # by which the criterion has to fall for the next of them: predictions alone say a little too long
+LEAST_TRAVEL, MOST_TRAVEL = 4e-4, 3e-3  # m: that of a model, between which it is taken; instants of reversals are not known better
 EXPLAINED_SCALE = 0.3  # of the hand-set uncertainty of the muscles' strength, with a model whose strengths data have shown
 SETTLING = 1.5  # s from the start over which errors do not count
 SHORTEST = 4.0  # s of a log: errors of 2.2 s at least count at the longest horizon
@@ -50,15 +54,17 @@ class FilterInputs:
 
 @dataclass(frozen=True)
 class Candidate:
-    """One pair of scales with its prediction errors.
+    """Scales with their prediction errors.
 
     Attributes:
+        travel: factor on the distance over which friction turns over.
         friction: factor on standard deviation and drift of the dry friction.
         strength: factor on standard deviation and drift of the muscles' gain error.
-        settings: of the filter with both.
+        settings: of the filter with them.
         errors: tip's prediction error at `HORIZONS`, rms in m.
     """
 
+    travel: float
     friction: float
     strength: float
     settings: FilterSettings
@@ -72,7 +78,7 @@ class Candidate:
     @property
     def hand_set(self) -> bool:
         """Whether it has the hand-set values."""
-        return self.friction == self.strength == 1.0
+        return self.travel == self.friction == self.strength == 1.0
 
 
 def scale_noise(settings: FilterSettings, friction: float, strength: float) -> FilterSettings:
@@ -84,11 +90,24 @@ def scale_noise(settings: FilterSettings, friction: float, strength: float) -> F
     )  # fmt: skip
 
 
-def levels_of_explained(model: Model) -> Model:
-    """A model that explains data with noise levels for it: muscles' strengths are in it or were not needed, so that they are less
-    uncertain. Levels that it has stay."""
+def settings_of_explained(model: Model, pulled: float, middle: float) -> Model:
+    """A model that explains data with settings of the filter for it; settings that it has stay.
+
+    Muscles' strengths are in it or were not needed, so that they are less uncertain. Where it has friction that goes by the muscles'
+    motion, the distance over which that turns over is known: bristles of constant stiffness bend in proportion to the friction, which
+    is in proportion to the tension (Dahl, A solid friction model, 1968).
+
+    Args:
+        model: of a verdict.
+        pulled: tension in the data while motors pull, root mean square, in N; 0 where none did.
+        middle: tension about which they work in closed loop in N.
+    """
     known = scale_noise(DEFAULT, 1.0, EXPLAINED_SCALE)
-    return replace(model, filter={"strength_std": known.strength_std, "strength_drift": known.strength_drift, **model.filter})
+    found = {"strength_std": known.strength_std, "strength_drift": known.strength_drift}
+    for effect in model.effects:
+        if effect.name == "tendon_friction" and pulled > 0 and effect.parameters["by_motion"] > 0.5:
+            found["presliding_distance"] = min(max(effect.parameters["travel"] * middle / pulled, LEAST_TRAVEL), MOST_TRAVEL)
+    return replace(model, filter={**found, **model.filter})
 
 
 def prediction_errors(inputs: FilterInputs, settings: FilterSettings) -> tuple[float, ...]:
@@ -127,19 +146,32 @@ def prediction_errors(inputs: FilterInputs, settings: FilterSettings) -> tuple[f
 def compare_scales(
     inputs: FilterInputs, friction: tuple[float, float] | None, base: FilterSettings = DEFAULT, progress: Progress = silent
 ) -> tuple[Candidate, ...]:
-    """All pairs of `FRICTION_SCALES` and `STRENGTH_SCALES` with their prediction errors, the hand-set values first.
+    """`TRAVEL_SCALES`, then with the right one of them all pairs of `FRICTION_SCALES` and `STRENGTH_SCALES`, with their prediction errors.
+
+    The hand-set values are first.
 
     Args:
         inputs: of the filter over a closed-loop run.
         friction: of the model's tendons, constant part in N and share of the tension; None without one.
         base: hand-set values.
-        progress: told of every pair.
+        progress: told of every candidate.
 
     Raises:
         InputError: the log is too short, or the tip was not tracked.
     """
-    found, pairs = [], list(product(FRICTION_SCALES, STRENGTH_SCALES))
-    for one, other in track(pairs, progress, "noise levels of the filter", len(pairs)):
-        settings = scale_noise(base, one, other)
-        found.append(Candidate(one, other, settings, prediction_errors(inputs, settings.with_friction_prior(friction, inputs.middle))))
+    found: list[Candidate] = []
+
+    def add(travel: float, pair: tuple[float, float]) -> None:
+        settings = replace(scale_noise(base, *pair), presliding_distance=travel * base.presliding_distance)
+        errors = prediction_errors(inputs, settings.with_friction_prior(friction, inputs.middle))
+        found.append(Candidate(travel, *pair, settings, errors))
+
+    for travel in track(TRAVEL_SCALES, progress, "travel of the friction", len(TRAVEL_SCALES)):
+        add(travel, (1.0, 1.0))
+    right = found[0]
+    for other in found[1:]:
+        right = other if right.criterion - other.criterion > SOFTER else right
+    pairs = list(product(FRICTION_SCALES, STRENGTH_SCALES))[1:]
+    for pair in track(pairs, progress, "noise levels of the filter", len(pairs)):
+        add(right.travel, pair)
     return tuple(found)
