@@ -22,7 +22,7 @@ from tepm_opt.data.noise import noise_of
 from tepm_opt.data.trials import Trials, read_trials
 from tepm_opt.discrepancy.adapters.cost import measure_cost
 from tepm_opt.discrepancy.adapters.network import SearchableNetwork
-from tepm_opt.discrepancy.assessment.result import VerdictStatus
+from tepm_opt.discrepancy.assessment.result import Verdict, VerdictStatus
 from tepm_opt.discrepancy.pipeline import DiscoverOptions, discover, require_fit_runs
 from tepm_opt.discrepancy.problem.plant import SearchablePlant
 from tepm_opt.discrepancy.problem.settings import SearchSettings
@@ -46,6 +46,7 @@ from tepm_opt.solvers.mechanics.plant import PredictionError
 
 VERDICT, FITS, EFFECTS = "verdict.json", ".fits.json", "effects"
 PULLS = 0.01  # of a motor's range: tension from which it pulls
+SURE = 0.25  # standard deviation over the value, up to which the travel of a friction is known
 
 
 def checked_dataset(folder: Path, despite_errors: bool = False, mends_setup: bool = False) -> tuple[DataSet, list[str]]:
@@ -169,7 +170,8 @@ def _explain_robot(asked: Asked, seed: int, limit: TimeLimit, progress: Progress
     if not result.verdict.setup:
         checked_datasets(folders, asked.despite_errors)  # refuses errors of the set-up that the workflow did not find
     explained = not result.verdict.setup and result.verdict.status is not VerdictStatus.UNEXPLAINED
-    write_model(_with_filter(result.verdict.model, dataset) if explained else result.verdict.model, out / MODEL)
+    best = result.verdict.model
+    write_model(settings_of_explained(best, _find_travel(result.verdict, dataset)) if explained else best, out / MODEL)
     if asked.mend and result.verdict.setup:
         write_dataset(dataset.with_runs(mend_runs(dataset.runs, result.verdict.setup)), out / MENDED, overwrite=True)
     if asked.invent and result.verdict.status in (VerdictStatus.UNEXPLAINED, VerdictStatus.PARTIAL):
@@ -179,13 +181,19 @@ def _explain_robot(asked: Asked, seed: int, limit: TimeLimit, progress: Progress
     return result
 
 
-def _with_filter(model: Model, dataset: DataSet) -> Model:
-    """A model that explains a data set, with settings of the controller's filter for it."""
-    most = model.robot.input_max
+def _find_travel(verdict: Verdict, dataset: DataSet) -> float | None:
+    """Distance in m over which friction of the tendons turns over in closed loop, where a verdict tells it; None elsewhere.
+
+    A verdict has it at the tension of the data. Bristles of constant stiffness bend in proportion to the friction, which is in proportion
+    to the tension (Dahl, A solid friction model, Aerospace Corp. TOR-158, 1968).
+    """
+    most, acting = verdict.model.robot.input_max, [effect.label for effect in verdict.model.effects]
+    found = next((each.parameters for each in verdict.effects if each.candidate.label == "tendon_friction" in acting), {})
     tensions = np.concatenate([run.inputs[:, len(most) // 2 :].ravel() for run in dataset.runs])
-    pulled = tensions[tensions > PULLS * most[-1]]
-    middle = MpcSettings().mid_range * float(most[-1])
-    return settings_of_explained(model, float(np.sqrt(np.mean(pulled**2))) if len(pulled) else 0.0, middle)
+    pulled, travel = tensions[tensions > PULLS * most[-1]], found.get("travel")
+    if travel is None or not len(pulled) or found["by_motion"].value < 0.5 or travel.std > SURE * travel.value:
+        return None
+    return travel.value * MpcSettings().mid_range * float(most[-1] / np.sqrt(np.mean(pulled**2)))
 
 
 def _explain_plant(asked: Asked, file: Path, seed: int, limit: TimeLimit, progress: Progress) -> Discovery:

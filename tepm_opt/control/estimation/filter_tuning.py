@@ -23,7 +23,7 @@ FRICTION_SCALES = (1.0, 0.3, 0.1)  # of the hand-set values; larger ones predict
 STRENGTH_SCALES = (1.0, 0.3)  # 0.1 and 0.3 predict alike: less than 0.3 % apart
 TRAVEL_SCALES = (1.0, 2.0, 4.0)  # of the hand-set distance; where half of it is right, it costs little
 SOFTER = 0.15  # by which the criterion has to fall for the next of them: predictions alone say a little too long
-LEAST_TRAVEL, MOST_TRAVEL = 4e-4, 3e-3  # m: that of a model, between which it is taken; instants of reversals are not known better
+LEAST_TRAVEL, MOST_TRAVEL = 4e-4, 3e-3  # m, between which that of a model is taken: instants of reversals are not known better
 EXPLAINED_SCALE = 0.3  # of the hand-set uncertainty of the muscles' strength, with a model whose strengths data have shown
 SETTLING = 1.5  # s from the start over which errors do not count
 SHORTEST = 4.0  # s of a log: errors of 2.2 s at least count at the longest horizon
@@ -90,23 +90,19 @@ def scale_noise(settings: FilterSettings, friction: float, strength: float) -> F
     )  # fmt: skip
 
 
-def settings_of_explained(model: Model, pulled: float, middle: float) -> Model:
+def settings_of_explained(model: Model, travel: float | None) -> Model:
     """A model that explains data with settings of the filter for it; settings that it has stay.
 
-    Muscles' strengths are in it or were not needed, so that they are less uncertain. Where it has friction that goes by the muscles'
-    motion, the distance over which that turns over is known: bristles of constant stiffness bend in proportion to the friction, which
-    is in proportion to the tension (Dahl, A solid friction model, 1968).
+    Muscles' strengths are in it or were not needed, so that they are less uncertain.
 
     Args:
         model: of a verdict.
-        pulled: tension in the data while motors pull, root mean square, in N; 0 where none did.
-        middle: tension about which they work in closed loop in N.
+        travel: over which friction turns over in closed loop in m; None where data do not tell.
     """
     known = scale_noise(DEFAULT, 1.0, EXPLAINED_SCALE)
     found = {"strength_std": known.strength_std, "strength_drift": known.strength_drift}
-    for effect in model.effects:
-        if effect.name == "tendon_friction" and pulled > 0 and effect.parameters["by_motion"] > 0.5:
-            found["presliding_distance"] = min(max(effect.parameters["travel"] * middle / pulled, LEAST_TRAVEL), MOST_TRAVEL)
+    if travel is not None:
+        found["presliding_distance"] = min(max(travel, LEAST_TRAVEL), MOST_TRAVEL)
     return replace(model, filter={**found, **model.filter})
 
 
