@@ -95,6 +95,7 @@ def test_a_verdict_s_model_has_a_travel_where_it_is_known() -> None:
     model = Model.from_robot("kang2017")
     assert settings_of_explained(model, 1.05e-3).filter == pytest.approx(EXPLAINED | {"presliding_distance": 1.05e-3})
     assert settings_of_explained(model, 1e-2).filter["presliding_distance"] == MOST_TRAVEL
+    assert settings_of_explained(model, 1e-4).filter["presliding_distance"] == DEFAULT.presliding_distance
     assert settings_of_explained(model, None).filter == pytest.approx(EXPLAINED)
     own = replace(model, filter={"presliding_distance": 7e-4})
     assert settings_of_explained(own, 1.05e-3).filter["presliding_distance"] == 7e-4

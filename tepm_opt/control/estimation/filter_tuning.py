@@ -23,7 +23,7 @@ FRICTION_SCALES = (1.0, 0.3, 0.1)  # of the hand-set values; larger ones predict
 STRENGTH_SCALES = (1.0, 0.3)  # 0.1 and 0.3 predict alike: less than 0.3 % apart
 TRAVEL_SCALES = (1.0, 2.0, 4.0)  # of the hand-set distance; where half of it is right, it costs little
 SOFTER = 0.15  # by which the criterion has to fall for the next of them: predictions alone say a little too long
-LEAST_TRAVEL, MOST_TRAVEL = 4e-4, 3e-3  # m, between which that of a model is taken: instants of reversals are not known better
+MOST_TRAVEL = 3e-3  # m, up to which that of a model is taken; at least the hand-set one: instants of reversals are not known better
 EXPLAINED_SCALE = 0.3  # of the hand-set uncertainty of the muscles' strength, with a model whose strengths data have shown
 SETTLING = 1.5  # s from the start over which errors do not count
 SHORTEST = 4.0  # s of a log: errors of 2.2 s at least count at the longest horizon
@@ -102,7 +102,7 @@ def settings_of_explained(model: Model, travel: float | None) -> Model:
     known = scale_noise(DEFAULT, 1.0, EXPLAINED_SCALE)
     found = {"strength_std": known.strength_std, "strength_drift": known.strength_drift}
     if travel is not None:
-        found["presliding_distance"] = min(max(travel, LEAST_TRAVEL), MOST_TRAVEL)
+        found["presliding_distance"] = min(max(travel, DEFAULT.presliding_distance), MOST_TRAVEL)
     return replace(model, filter={**found, **model.filter})
 
 
