@@ -40,6 +40,7 @@ from tepm_opt.jobs.joined import concatenate_datasets
 from tepm_opt.jobs.plants import load_plant
 from tepm_opt.models.channels import channels_of, read
 from tepm_opt.models.effect_files import loaded_effects, loaded_files
+from tepm_opt.models.effects import find_effect
 from tepm_opt.models.model import Model, read_model, write_model
 from tepm_opt.progress import Progress, silent
 from tepm_opt.solvers.mechanics.plant import PredictionError
@@ -171,7 +172,7 @@ def _explain_robot(asked: Asked, seed: int, limit: TimeLimit, progress: Progress
         checked_datasets(folders, asked.despite_errors)  # refuses errors of the set-up that the workflow did not find
     explained = not result.verdict.setup and result.verdict.status is not VerdictStatus.UNEXPLAINED
     best = result.verdict.model
-    write_model(settings_of_explained(best, _find_travel(result.verdict, dataset)) if explained else best, out / MODEL)
+    write_model(settings_of_explained(best, find_travel(result.verdict, dataset)) if explained else best, out / MODEL)
     if asked.mend and result.verdict.setup:
         write_dataset(dataset.with_runs(mend_runs(dataset.runs, result.verdict.setup)), out / MENDED, overwrite=True)
     if asked.invent and result.verdict.status in (VerdictStatus.UNEXPLAINED, VerdictStatus.PARTIAL):
@@ -181,19 +182,21 @@ def _explain_robot(asked: Asked, seed: int, limit: TimeLimit, progress: Progress
     return result
 
 
-def _find_travel(verdict: Verdict, dataset: DataSet) -> float | None:
+def find_travel(verdict: Verdict, dataset: DataSet) -> float | None:
     """Distance in m over which friction of the tendons turns over in closed loop, where a verdict tells it; None elsewhere.
 
     A verdict has it at the tension of the data. Bristles of constant stiffness bend in proportion to the friction, which is in proportion
     to the tension (Dahl, A solid friction model, Aerospace Corp. TOR-158, 1968).
     """
     most, acting = verdict.model.robot.input_max, [effect.label for effect in verdict.model.effects]
-    found = next((each.parameters for each in verdict.effects if each.candidate.label == "tendon_friction" in acting), {})
     tensions = np.concatenate([run.inputs[:, len(most) // 2 :].ravel() for run in dataset.runs])
-    pulled, travel = tensions[tensions > PULLS * most[-1]], found.get("travel")
-    if travel is None or not len(pulled) or found["by_motion"].value < 0.5 or travel.std > SURE * travel.value:
-        return None
-    return travel.value * MpcSettings().mid_range * float(most[-1] / np.sqrt(np.mean(pulled**2)))
+    pulled = tensions[tensions > PULLS * most[-1]]
+    for named in verdict.effects if len(pulled) else ():
+        values = {name: value.value for name, value in named.parameters.items()}
+        name = find_effect(named.candidate.name).friction_travel(values) if named.candidate.label in acting else None
+        if name is not None and named.parameters[name].std <= SURE * values[name]:
+            return values[name] * MpcSettings().mid_range * float(most[-1] / np.sqrt(np.mean(pulled**2)))
+    return None
 
 
 def _explain_plant(asked: Asked, file: Path, seed: int, limit: TimeLimit, progress: Progress) -> Discovery:

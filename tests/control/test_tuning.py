@@ -5,6 +5,8 @@ from __future__ import annotations
 import tomllib
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,10 +16,12 @@ from tepm_opt.control.estimation.kalman_filter import DEFAULT, Estimator, Filter
 from tepm_opt.control.mpc.controller import Mpc, MpcSettings
 from tepm_opt.control.references.reference import Reference, reference_of
 from tepm_opt.discrepancy.adapters.network import with_selected_candidates
+from tepm_opt.discrepancy.assessment.result import Value
 from tepm_opt.errors import InputError
 from tepm_opt.hw.simulation.family import random_machine
 from tepm_opt.hw.simulation.rigfile import RigFile
 from tepm_opt.jobs.closed_loop import LoopSetup
+from tepm_opt.jobs.discrepancy import find_travel
 from tepm_opt.jobs.mpc import run_closed_loop
 from tepm_opt.jobs.tune import filter_inputs, read_log, run_tune
 from tepm_opt.models.compile import CompiledModel, compile_model
@@ -88,6 +92,24 @@ def test_scales_act_on_both_noise_levels_alike() -> None:
     scaled = scale_noise(DEFAULT, 0.1, 0.3)
     changed = {name: getattr(scaled, name) for name in vars(DEFAULT) if getattr(scaled, name) != getattr(DEFAULT, name)}
     assert changed == pytest.approx(LEVELS)
+
+
+@pytest.mark.parametrize(
+    ("by_motion", "std", "pulls", "travel"),
+    [(1.0, 5e-5, 1.0, 1.05e-3), (1.0, 1e-4, 1.0, None), (0.2, 5e-5, 1.0, None), (1.0, 5e-5, 0.0, None)],
+)
+def test_the_travel_of_friction_is_told_at_the_tension_of_the_loop(
+    by_motion: float, std: float, pulls: float, travel: float | None
+) -> None:
+    """Bristles bend in proportion to the tension: 3.5 times the data's. Not where it is uncertain, goes by the motors, or no motor pulled."""
+    found = {"share": 0.3, "by_motion": by_motion, "travel": 3e-4}
+    model = Model.from_robot("kang2017").with_effect("tendon_friction", **found)
+    values = {name: Value(value, std, "", 0.0) for name, value in found.items()}
+    named = SimpleNamespace(candidate=SimpleNamespace(name="tendon_friction", label="tendon_friction"), parameters=values)
+    run = SimpleNamespace(inputs=np.hstack([np.full((5, 6), 1e5), np.full((5, 6), pulls)]))
+    verdict: Any = SimpleNamespace(model=model, effects=(named,))
+    data: Any = SimpleNamespace(runs=[run])
+    assert find_travel(verdict, data) == (None if travel is None else pytest.approx(travel))
 
 
 def test_a_verdict_s_model_has_a_travel_where_it_is_known() -> None:

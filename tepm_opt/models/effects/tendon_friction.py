@@ -42,6 +42,9 @@ class TendonFriction(Effect):
     def friction(self, parameters: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
         return parameters["constant"], parameters["share"]
 
+    def friction_travel(self, values: Mapping[str, float]) -> str | None:
+        return "travel" if values["by_motion"] > 0.5 else None
+
     def tension_memory(self, tension: ca.SX, rate: ca.SX, state: ca.SX, parameters: Mapping[str, ca.SX], context: Context) -> Play:
         friction = parameters["constant"] + (1 - parameters["by_motion"]) * parameters["share"] * tension
         let_go = parameters["released"] * ca.fmax(parameters["constant"] - tension, 0)
