@@ -305,8 +305,11 @@ class Effect:
         return None
 
     def friction_travel(self, values: Mapping[str, float]) -> str | None:
-        """Name of the parameter with the travel in m over which friction turns over, where these values of the parameters mean friction that
-        goes by the muscles' motion; else None. In data it is found at their tension."""
+        """Name of the parameter with the travel in m over which friction turns over; None where it does not go by the muscles' motion.
+
+        Args:
+            values: of the parameters, in SI.
+        """
         return None
 
     def hysteresis(self, parameters: Mapping[str, ca.SX]) -> ca.SX | None:

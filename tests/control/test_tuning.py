@@ -101,7 +101,7 @@ def test_scales_act_on_both_noise_levels_alike() -> None:
 def test_the_travel_of_friction_is_told_at_the_tension_of_the_loop(
     by_motion: float, std: float, pulls: float, travel: float | None
 ) -> None:
-    """Bristles bend in proportion to the tension: 3.5 times the data's. Not where it is uncertain, goes by the motors, or no motor pulled."""
+    """3.5 times the tension of the data; nothing where it is uncertain, friction goes by the motors, or no motor pulled."""
     found = {"share": 0.3, "by_motion": by_motion, "travel": 3e-4}
     model = Model.from_robot("kang2017").with_effect("tendon_friction", **found)
     values = {name: Value(value, std, "", 0.0) for name, value in found.items()}
