@@ -36,7 +36,7 @@ class MpcSettings:
         mid_ranging: whether the pressures take over what the tensions do for longer; else they only follow the reference.
         use: which actuators move; those left out keep still.
         damping: times the model's damping that filter and program reckon with; with 1.5 the circle on twenty random machines is 3 % worse,
-            with 2.5 machines without friction are a tenth further off.
+            with 2.5 machines without friction are a tenth further off than with 2.
         pressure_planner: settings of the pressures.
         filter: settings of the state estimator; None for the defaults with the noise levels of the model file (`tepm tune`).
         deadline: duration of a step in s after which its program is not used and the last plan goes on.
