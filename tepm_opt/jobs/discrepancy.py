@@ -194,7 +194,7 @@ def find_travel(verdict: Verdict, dataset: DataSet) -> float | None:
     for named in verdict.effects if len(pulled) else ():
         values = {name: value.value for name, value in named.parameters.items()}
         name = find_effect(named.candidate.name).friction_travel(values) if named.candidate.label in acting else None
-        if name is not None and named.parameters[name].std <= SURE * values[name]:
+        if name is not None and 0 < named.parameters[name].std <= SURE * values[name]:
             return values[name] * MpcSettings().mid_range * float(most[-1] / np.sqrt(np.mean(pulled**2)))
     return None
 

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from tepm_opt.control.estimation.filter_tuning import HORIZONS, Candidate, FilterInputs, compare_scales
-from tepm_opt.control.estimation.kalman_filter import FilterSettings
 from tepm_opt.control.mpc.compiled.setup import StepSetup
 from tepm_opt.control.mpc.settings import MpcSettings
 from tepm_opt.control.mpc.state import MpcState, OperatingPoints
@@ -162,7 +161,7 @@ def run_tune(model: CompiledModel, log: str | Path, progress: Progress = silent)
     errors over a closed-loop log.
 
     Args:
-        model: of the controller that drove the loop; its own `filter` does not count.
+        model: of the controller that drove the loop; of its own `filter` the presliding distance counts alone.
         log: log.csv of `tepm mpc`, or its folder.
         progress: told of every part.
 
@@ -171,7 +170,8 @@ def run_tune(model: CompiledModel, log: str | Path, progress: Progress = silent)
     """
     run = read_log(log, model)
     try:
-        candidates = compare_scales(filter_inputs(model, run, progress), model.tendon_friction, FilterSettings(), progress)
+        own = model.model.filter.get("presliding_distance")
+        candidates = compare_scales(filter_inputs(model, run, progress), model.tendon_friction, own, progress)
     except InputError as error:
         raise InputError(f"{log}: {error}") from error
     found = TuneRun(model.model, Path(log), float(np.ptp(run.time)), candidates)

@@ -140,16 +140,16 @@ def prediction_errors(inputs: FilterInputs, settings: FilterSettings) -> tuple[f
 
 
 def compare_scales(
-    inputs: FilterInputs, friction: tuple[float, float] | None, base: FilterSettings = DEFAULT, progress: Progress = silent
+    inputs: FilterInputs, friction: tuple[float, float] | None, travel: float | None = None, progress: Progress = silent
 ) -> tuple[Candidate, ...]:
-    """`TRAVEL_SCALES`, then with the right one of them all pairs of `FRICTION_SCALES` and `STRENGTH_SCALES`, with their prediction errors.
+    """Candidates with their prediction errors, the hand-set values first: travels, then with the right one all pairs of noise levels.
 
-    The hand-set values are first.
+    The travel of the model, or else the hand-set one, stays unless another of `TRAVEL_SCALES` is clearly better.
 
     Args:
         inputs: of the filter over a closed-loop run.
         friction: of the model's tendons, constant part in N and share of the tension; None without one.
-        base: hand-set values.
+        travel: over which friction turns over by the model in m; None where it does not say.
         progress: told of every candidate.
 
     Raises:
@@ -157,15 +157,17 @@ def compare_scales(
     """
     found: list[Candidate] = []
 
-    def add(travel: float, pair: tuple[float, float]) -> None:
-        settings = replace(scale_noise(base, *pair), presliding_distance=travel * base.presliding_distance)
+    def add(scale: float, pair: tuple[float, float]) -> None:
+        settings = replace(scale_noise(DEFAULT, *pair), presliding_distance=scale * DEFAULT.presliding_distance)
         errors = prediction_errors(inputs, settings.with_friction_prior(friction, inputs.middle))
-        found.append(Candidate(travel, *pair, settings, errors))
+        found.append(Candidate(scale, *pair, settings, errors))
 
-    for travel in track(TRAVEL_SCALES, progress, "travel of the friction", len(TRAVEL_SCALES)):
-        add(travel, (1.0, 1.0))
-    right = found[0]
-    for other in found[1:]:
+    own = 1.0 if travel is None else travel / DEFAULT.presliding_distance
+    scales = tuple(dict.fromkeys((*TRAVEL_SCALES, own)))
+    for scale in track(scales, progress, "travel of the friction", len(scales)):
+        add(scale, (1.0, 1.0))
+    right = found[scales.index(own)]
+    for other in found:
         right = other if right.criterion - other.criterion > SOFTER else right
     pairs = list(product(FRICTION_SCALES, STRENGTH_SCALES))[1:]
     for pair in track(pairs, progress, "noise levels of the filter", len(pairs)):
