@@ -126,7 +126,14 @@ class Sums:
         return GlrStatistics(score, (part - part @ inverse @ part) / noise[:, None, None], theta, noise)
 
     def measure_misfit(self, mark: int, machine: int, evidence: float, noise: np.ndarray) -> tuple[int, float]:
-        """Rows since a mark, and the sum of squares over the noise that a change which explains them with an evidence leaves of them."""
+        """Rows since a mark, and the sum of squares over the noise that a change leaves of them.
+
+        Args:
+            mark: number of the mark, 0 for the oldest that is kept.
+            machine: number of the regression.
+            evidence: of the change, half of what it takes off the sum of squares over the noise.
+            noise: over what is assumed (variances), (machines,).
+        """
         sums, rows = self._marks[mark]
         since = self._sum[machine, 0, 0] - self._sum_explained_squares(self._sum)[machine]
         since -= sums[machine, 0, 0] - self._sum_explained_squares(sums)[machine]
