@@ -20,6 +20,7 @@ from tepm_opt.discrepancy.assessment.credibility import assess as assess_effects
 from tepm_opt.discrepancy.assessment.result import Errors, VerdictStatus, reduces_validation_error
 from tepm_opt.discrepancy.assessment.settings import DEFAULT as ASSESSMENT
 from tepm_opt.discrepancy.assessment.stated_set import score_causes
+from tepm_opt.discrepancy.assessment.tether import constant_force_probabilities
 from tepm_opt.discrepancy.assessment.validation import Comparison, compare_models, predict_runs, validation_errors
 from tepm_opt.discrepancy.baseline.baseline import Baseline
 from tepm_opt.discrepancy.baseline.judgement import judge_change
@@ -161,7 +162,9 @@ def _leave_out_absent(state: Selected, compared: Comparison, errors: Errors) -> 
 def assess(state: Validated) -> Assessed:
     """Weigh every selected effect; drop all of them where a clock or something unknown is the likelier cause."""
     explanation, settings = state.explanation, state.settings
-    checks = EffectChecks(alternative_law_odds(explanation, settings, state.seed), _constancy(state))
+    checks = EffectChecks(
+        alternative_law_odds(explanation, settings, state.seed), _constancy(state), constant_force_probabilities(explanation.best, settings)
+    )
     judgement = assess_effects(explanation, state.errors if state.dataset.validation else None, settings, checks, state.plant.modules)
     if state.baseline is not None:
         judgement = judge_change(judgement, explanation, settings, state.baseline, state.dataset.fit)

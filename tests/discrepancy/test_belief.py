@@ -168,18 +168,34 @@ def test_a_force_of_known_form_has_to_hold_against_a_spring_however_little_is_le
     best, without = hypothesis((effect,), left), hypothesis((), 1.0)
     found = Explanation(without, best, best, [without, best], [], {effect: 100.0}, {effect: [(best, 1.0)]})
 
-    def doubted(part: float, samples: int = 10_000) -> list[float]:
-        """What the effect holds where a spring leaves a part of what it leaves, in ten blocks of so many samples."""
+    def doubted(part: float, samples: int = 10_000, elsewhere: float = 1.0) -> list[float]:
+        """What the effect holds where a spring, and a law elsewhere, leave parts of what it leaves, in ten blocks of so many samples."""
         counts = np.full(10, samples)
-        place = SimpleNamespace(kind="force", variable="position", label="force[s4](position)")
-        spring = SimpleNamespace(place=place, evidence=Evidence(counts * (1 + part * left), counts, 5, np.zeros(5)))
-        monkeypatch.setattr(belief, "alternatives", lambda _: [spring])
+
+        def law(kind: str, variable: str, rest: float) -> Any:
+            place = SimpleNamespace(kind=kind, variable=variable, label=f"{kind}({variable})")
+            return SimpleNamespace(place=place, evidence=Evidence(counts * (1 + rest * left), counts, 5, np.zeros(5)))
+
+        monkeypatch.setattr(belief, "alternatives", lambda _: [law("force", "position", part), law("axial", "pressure", elsewhere)])
         measured = replace(best, evidence=Evidence(counts * (1 + left), counts, 1, np.zeros(1)))
         return [each.effect_probability for each in alternative_law_odds(replace(found, best=measured), SETTINGS, 0).values()]
 
     assert doubted(0.1) == ([pytest.approx(0.0, abs=0.05)] if effect is LOAD else [])
     assert doubted(0.9) == []
+    assert doubted(0.5, elsewhere=0.1) == [], "what is left is something else's"
+    assert len(doubted(0.1, elsewhere=0.1)) == (effect is LOAD)
     assert doubted(0.1, samples=40) == [], "so few may say that by chance"
+
+
+@pytest.mark.parametrize(
+    ("constant", "status"), [(1.0, VerdictStatus.NAMED), (0.6, VerdictStatus.PARTIAL), (0.01, VerdictStatus.UNEXPLAINED)]
+)
+def test_a_force_that_may_be_a_springs_is_doubted(constant: float, status: VerdictStatus) -> None:
+    best, without = hypothesis((LOAD,), 0.01), hypothesis((), 1.0)
+    found = Explanation(without, best, best, [without, best], [], {LOAD: 100.0}, {LOAD: [(best, 1.0)]})
+    judged = assess(found, SHRUNK, SETTINGS, EffectChecks(constant={LOAD: constant}))
+    assert judged.status is status
+    assert any("hose" in remark for remark in judged.remarks) == (constant < 1)
 
 
 def test_an_exact_form_beside_one_that_is_not_may_leave_structure() -> None:

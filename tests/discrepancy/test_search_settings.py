@@ -120,6 +120,12 @@ def test_what_takes_away_too_little_is_not_named() -> None:
     assert named(searched(small, min_excess_removed=0.5)[0]) == ""
 
 
+@pytest.mark.parametrize(("without", "left", "kept"), [(0.1, 0.0, "s1 s2"), (0.04, 0.0, "s1"), (0.2, 0.1, "s1"), (0.3, 0.1, "s1 s2")])
+def test_beside_another_it_is_enough_to_separate_noise_from_more(without: float, left: float, kept: str) -> None:
+    """0.05 counts as noise; where more is left in any case, s2 has to take away 0.15."""
+    assert named(searched({"": 4.0, "s1": without, "s2": 3.9, "s1 s2": left}, min_share_closed=0.0, repeat_forward=False)[0]) == kept
+
+
 def test_an_effect_must_beat_going_without() -> None:
     """By a probability, here of one that is better in some blocks of time and worse in others."""
     excess, uneven = {**ONE, "": 1.0, "s1": 0.8, "s2": 2.0}, {"s1": 0.9}
@@ -193,6 +199,17 @@ class TestRules:
         table: Any = Table(SearchSettings(), {"": 900.0, "s1": 1.2, "s2": 700.0, "s1 s2": 0.3}, {})
         best, _ = elimination.eliminate_backward(table, table.fit((sure, EFFECTS["s2"]), {}))
         assert [c.detail for c in best.effects] == kept
+
+    @pytest.mark.parametrize(("refuted", "kept"), [((), ["s1"]), (((EFFECTS["s1"],),), ["s1", "s2"])])
+    def test_what_separates_it_from_a_hypothesis_that_gave_way_mends_nothing(
+        self, monkeypatch: pytest.MonkeyPatch, refuted: tuple[Effects, ...], kept: list[str]
+    ) -> None:
+        """Else the search goes round: s1 gives way to another, that to s1 and s2, and these again to s1."""
+        monkeypatch.setattr(elimination, "_output", lambda *_: 400.0)
+        table: Any = Table(SearchSettings(), {"": 900.0, "s1": 1.2, "s2": 700.0, "s1 s2": 0.3}, {})
+        best, shares = elimination.eliminate_backward(table, table.fit((EFFECTS["s1"], EFFECTS["s2"]), {}), refuted)
+        assert [c.detail for c in best.effects] == kept
+        assert all(share > 1 for share in shares.values())
 
     def test_of_two_that_are_not_needed_the_one_that_takes_away_less_goes(self, monkeypatch: pytest.MonkeyPatch) -> None:
         """Both stand below the errors of forms; without s2 (the last in order) next to nothing more is left, without s1 much is."""

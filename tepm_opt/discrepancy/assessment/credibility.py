@@ -23,6 +23,8 @@ from tepm_opt.discrepancy.symbolic.score import Scored, alternatives
 from tepm_opt.solvers.identification.hierarchy import compute_clustering_chances, off_centre
 from tepm_opt.solvers.identification.identify import ParameterEstimate
 
+TIED = "may be a hose or a cable that pulls as a spring does to where it is tied: its force does not surely stay the same."
+
 
 @dataclass(frozen=True, eq=False)
 class AlternativeLaw:
@@ -60,9 +62,9 @@ def alternative_law_odds(
 ) -> dict[Candidate, AlternativeLaw]:
     """Compare the effects of the best hypothesis with smooth laws in their place.
 
-    A force of known form gives way to one by place beside it that surely predicts better, however little is left. Where more than noise
-    is left, any effect competes with laws that act elsewhere. A law that predicts left-out data better, although it is only fitted to
-    first order, shows that the effect is a stand-in.
+    A force of known form gives way to one by place beside it that surely predicts better, however little is left, unless a law elsewhere
+    surely predicts still better: then something else is left. Where more than noise is left, any effect competes with laws that act
+    elsewhere. A law that predicts left-out data better, although it is only fitted to first order, shows that the effect is a stand-in.
 
     Args:
         explanation: result of the search.
@@ -73,12 +75,13 @@ def alternative_law_odds(
     best = explanation.best
     found: dict[Candidate, AlternativeLaw] = {}
     if pushing := [effect for effect in best.effects if effect.exact and effect.acts == ("force",)]:
-        springs = [law for law in alternatives(best.estimate) if law.place.kind == "force" and law.place.variable == "position"]
-        first = min(springs, key=lambda law: law.evidence.excess, default=None)
-        if first is not None and first.evidence.excess < thresholds.spring_max_excess * best.excess:
-            holds = float(weights([best.evidence.without_prior, first.evidence], seed)[0])
-            if holds < 1 - settings.min_probability:  # of next to nothing chance may take away half
-                found = dict.fromkeys(pushing, AlternativeLaw(holds, first))
+        laws, unlikely = sorted(alternatives(best.estimate), key=lambda law: law.evidence.excess), 1 - settings.min_probability
+        spring = next((law for law in laws if (law.place.kind, law.place.variable) == ("force", "position")), None)
+        if spring is not None and spring.evidence.excess < thresholds.spring_max_excess * best.excess:
+            holds = float(weights([best.evidence.without_prior, spring.evidence], seed)[0])
+            likely = float(weights([spring.evidence, laws[0].evidence], seed)[0])
+            if holds < unlikely <= likely:  # of next to nothing chance may take away half
+                found = dict.fromkeys(pushing, AlternativeLaw(holds, spring))
     if best.only_noise(settings):
         return found
     for effect in (effect for effect in best.effects if effect not in found):
@@ -104,10 +107,12 @@ class EffectChecks:
     Attributes:
         laws: that compete with effects besides their rivals.
         constancy: sizes of effects in segments of the data.
+        constant: probabilities that forces are constant, see `tether.constant_force_probability`.
     """
 
     laws: Mapping[Candidate, AlternativeLaw] = field(default_factory=dict)
     constancy: Mapping[Candidate, Mapping[str, SegmentSizes]] = field(default_factory=dict)
+    constant: Mapping[Candidate, float] = field(default_factory=dict)
 
 
 def assess(
@@ -131,7 +136,7 @@ def assess(
     shown, alone = explanation.gauge_effects, dict[Candidate, float]()
     for effect in best.effects:
         holds = laws[effect].effect_probability if effect in laws else 1.0
-        steady = constancy_probability(constancy.get(effect, {}), thresholds)
+        steady = constancy_probability(constancy.get(effect, {}), thresholds) * checks.constant.get(effect, 1.0)
         alone[effect] = 1.0 if effect in shown else holds * steady * _chance_scatter(best.estimate, effect, modules, thresholds)
     cause = {e: _cause(e, explanation, settings, thresholds) * alone[e] * _independence(e, alone, explanation) for e in best.effects}
     cause |= {e: 1.0 for e in shown if e in cause}
@@ -163,6 +168,7 @@ def assess(
     remarks = (
         *_vague(vague),
         *_objections(explanation, laws, constancy, thresholds),
+        *(f"{e.full_label} {TIED}" for e in best.effects if checks.constant.get(e, 1.0) < thresholds.min_named),
         *(f"{effect.full_label} {spoils}" for effect in refuted),
     )
     return Judgement(status, cause, () if status is VerdictStatus.UNEXPLAINED else tuple(listed), remarks)

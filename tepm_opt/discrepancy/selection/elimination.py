@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import replace
 from functools import partial
 
@@ -9,8 +10,8 @@ import numpy as np
 
 from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.discrepancy.problem.settings import SearchSettings
-from tepm_opt.discrepancy.selection.fitting import Fits, Hypothesis
-from tepm_opt.discrepancy.selection.matching_pursuit import form_error_allowance
+from tepm_opt.discrepancy.selection.fitting import Effects, Fits, Hypothesis
+from tepm_opt.discrepancy.selection.matching_pursuit import form_error_allowance, material_excess
 from tepm_opt.discrepancy.selection.significance import is_significant
 from tepm_opt.solvers.mechanics.plant import PredictionError
 from tepm_opt.solvers.numerics.parallel import in_parallel
@@ -18,12 +19,17 @@ from tepm_opt.solvers.numerics.parallel import in_parallel
 Shares = dict[Candidate, float]
 
 
-def eliminate_backward(fits: Fits, best: Hypothesis) -> tuple[Hypothesis, Shares]:
+def eliminate_backward(fits: Fits, best: Hypothesis, refuted: Collection[Effects] = ()) -> tuple[Hypothesis, Shares]:
     """Drop effects one by one, the least needed first, until all that are left stand out from the structure left.
 
-    An effect stands out where it removes more than form errors of the others may (see `form_error_allowance`), and a share of what is left,
-    and where its size is significant. Forms that are known exactly have no errors, and none can spoil more than there is to explain. Fits
-    without an effect end early where it surely stays, until nothing else is to be dropped.
+    An effect stands out where it removes more than form errors of the others may (see `form_error_allowance`), a material excess and a
+    share of what is left, and where its size is significant. Forms that are known exactly have no errors, and none can spoil more than
+    there is to explain. Fits without an effect end early where it surely stays, until nothing else is to be dropped.
+
+    Args:
+        fits: all fits so far.
+        best: the hypothesis.
+        refuted: hypotheses that gave way to others; an effect without which `best` is one of them does not mend form errors.
     """
     settings, nothing = fits.settings, fits.fit((), {})
     most = np.inf if nothing is None else nothing.excess
@@ -34,15 +40,17 @@ def eliminate_backward(fits: Fits, best: Hypothesis) -> tuple[Hypothesis, Shares
         doubt = {effect: settings.form_error_ratio * min(output, most) for effect, output in zip(guessed, outputs, strict=True)}
         stays = max(settings.sure_share * _excess_left(best, settings), settings.min_excess_removed, sum(doubt.values()))
         bound = best.estimate.cost + settings.early_end_ratio * stays * best.estimate.count if several else np.inf
-        shares, smaller = _drop_weakest(fits, best, doubt, bound)
+        shares, smaller = _drop_weakest(fits, best, doubt, bound, refuted)
         if smaller is None and np.isfinite(bound):
-            shares, smaller = _drop_weakest(fits, best, doubt, np.inf)
+            shares, smaller = _drop_weakest(fits, best, doubt, np.inf, refuted)
         if smaller is None:
             return best, shares
         best = smaller
 
 
-def _drop_weakest(fits: Fits, best: Hypothesis, doubt: dict[Candidate, float], bound: float) -> tuple[Shares, Hypothesis | None]:
+def _drop_weakest(
+    fits: Fits, best: Hypothesis, doubt: dict[Candidate, float], bound: float, refuted: Collection[Effects]
+) -> tuple[Shares, Hypothesis | None]:
     """Shares of all effects, and the hypothesis without the weakest one; None where all stand out.
 
     Args:
@@ -50,11 +58,12 @@ def _drop_weakest(fits: Fits, best: Hypothesis, doubt: dict[Candidate, float], b
         best: the hypothesis.
         doubt: excess that form errors of each effect may leave.
         bound: squares above which a fit without an effect may end early.
+        refuted: hypotheses that gave way to others.
     """
     rests = [tuple(c for c in best.effects if c != effect) for effect in best.effects]
     found = fits.fit_all([(rest, best.estimate.named) for rest in rests], bound=bound)
     without = dict(zip(best.effects, found, strict=True))
-    shares, lost = _shares(fits, best, without, doubt)
+    shares, lost = _shares(fits, best, without, doubt, refuted)
     weakest = min(shares, key=lambda effect: (shares[effect], lost[effect]), default=None)
     smaller = None if weakest is None else without[weakest]
     if weakest is None or smaller is None or shares[weakest] >= fits.settings.least_share or smaller.estimate.out_of_reach:
@@ -68,7 +77,7 @@ def _excess_left(best: Hypothesis, settings: SearchSettings) -> float:
 
 
 def _shares(
-    fits: Fits, best: Hypothesis, without: dict[Candidate, Hypothesis | None], doubt: dict[Candidate, float]
+    fits: Fits, best: Hypothesis, without: dict[Candidate, Hypothesis | None], doubt: dict[Candidate, float], refuted: Collection[Effects]
 ) -> tuple[Shares, dict[Candidate, float]]:
     """Share of every effect: the excess that it removes over the excess left, 0 where form errors of others may; and that excess itself.
 
@@ -79,6 +88,7 @@ def _shares(
         best: the hypothesis.
         without: fits without each effect; None where the model cannot do the runs.
         doubt: excess that form errors of each effect may leave.
+        refuted: hypotheses that gave way to others.
     """
     shares, lost, left = Shares(), dict[Candidate, float](), _excess_left(best, fits.settings)
     for effect, found in without.items():
@@ -86,7 +96,8 @@ def _shares(
         if found is not None and effect not in fits.gauge_effects:
             taken = lost[effect] = found.excess - best.excess
             wrong = sum(size for other, size in doubt.items() if other != effect)
-            stands_out = taken >= form_error_allowance(effect, wrong, taken, left, fits.settings)
+            allowance = 0.0 if found.effects in refuted else form_error_allowance(effect, wrong, taken, left, fits.settings)
+            stands_out = taken >= max(allowance, material_excess(best, fits.settings))
             shares[effect] = taken / left if stands_out and is_significant(best.estimate, effect, fits.settings) else 0.0
     return shares, lost
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 
@@ -96,17 +96,18 @@ def explain(fits: Fits, missing: Sequence[Candidate], seed: int) -> Explanation:
     best = together or _select_forward(fits, base, missing, seed)
     if together is None:
         best = most_probable([best, *_fit_wide_alone(fits, without, best, missing)], seed, 1)[0]
-    widest, visited, dropped = best, set[Effects](), set[Candidate]()
+    widest, visited, refuted, dropped = best, set[Effects](), set[Effects](), set[Candidate]()
     while True:
         dropped |= {*best.effects}
-        best, shares, groups = _eliminate(fits, best, missing, seed)
+        best, shares, groups = _eliminate(fits, best, missing, seed, refuted)
         dropped -= {*best.effects}
         for _ in range(settings.max_effects):
             weakest = min(groups.values(), key=lambda group: group[0][1], default=[(best, 1.0)])
             better, weight = max(weakest, key=lambda pair: pair[1])
             if better is best or weight < 0.5:
                 break
-            best, shares, groups = _eliminate(fits, fits.complete(better), missing, seed)
+            refuted.add(best.effects)
+            best, shares, groups = _eliminate(fits, fits.complete(better), missing, seed, refuted)
         if best.effects in visited or not settings.repeat_forward:
             break
         visited.add(best.effects)
@@ -145,10 +146,19 @@ def _fit_wide_alone(fits: Fits, without: Hypothesis, best: Hypothesis, missing: 
     return [h for h in fits.fit_all(asked) if h is not None]
 
 
-def _eliminate(fits: Fits, best: Hypothesis, missing: Sequence[Candidate], seed: int) -> tuple[Hypothesis, Shares, Groups]:
+def _eliminate(
+    fits: Fits, best: Hypothesis, missing: Sequence[Candidate], seed: int, refuted: Collection[Effects]
+) -> tuple[Hypothesis, Shares, Groups]:
     """Eliminate effects of a hypothesis and weigh the rivals of the rest; returns it with the effects' shares and rivals.
 
     Where no effect is left, because several stood in for one, take the single effect that stands out and leaves least.
+
+    Args:
+        fits: all fits so far.
+        best: the hypothesis.
+        missing: candidates.
+        seed: of random draws.
+        refuted: hypotheses that gave way to others.
     """
     shares, weigh = Shares(), weigh_best_rival
     if len(best.effects) > fits.settings.many_effects:
@@ -156,7 +166,7 @@ def _eliminate(fits: Fits, best: Hypothesis, missing: Sequence[Candidate], seed:
     if len(best.effects) <= fits.settings.many_effects:
         weigh = replacements
         more = len(best.effects) > 1
-        best, shares = eliminate_backward(fits, best)
+        best, shares = eliminate_backward(fits, best, refuted)
         if more and not best.effects:
             alone = [eliminate_backward(fits, fits.complete(h)) for h in list(fits.done.values()) if len(h.effects) == 1]
             best, shares = min(alone, key=lambda end: end[0].excess, default=(best, shares))

@@ -139,7 +139,8 @@ def prune_insignificant(fits: Fits, best: Hypothesis, missing: Sequence[Candidat
             costs[effect] = fitted[effect] = min(_fit_without(fits, best, effect)[1], most)
         whole = sum(max(cost, 0.0) for cost in costs.values())
         wrong = {effect: settings.form_error_ratio * (whole - max(cost, 0.0)) for effect, cost in costs.items()}
-        least = {effect: form_error_allowance(effect, wrong[effect], cost, left, settings) for effect, cost in costs.items()}
+        material = material_excess(best, settings)
+        least = {e: max(material, form_error_allowance(e, wrong[e], cost, left, settings)) for e, cost in costs.items()}
         shares, steady, acts = dict.fromkeys(fits.gauge_effects, np.inf), {}, {}
         for effect in (effect for effect in best.effects if effect not in fits.gauge_effects):
             shares[effect] = costs[effect] / left if costs[effect] >= least[effect] else 0.0
@@ -150,7 +151,7 @@ def prune_insignificant(fits: Fits, best: Hypothesis, missing: Sequence[Candidat
             return best, shares
         weakest = min(unsure, key=lambda effect: (acts[effect], costs[effect]))
         rest, cost = _fit_without(fits, best, weakest)
-        stands_out = cost >= form_error_allowance(weakest, wrong[weakest], cost, left, settings)
+        stands_out = cost >= max(material, form_error_allowance(weakest, wrong[weakest], cost, left, settings))
         likely = steady[weakest] * cost >= settings.min_listed_probability * (cost + even * left)
         if rest is None or cost >= settings.max_unsure_share * whole or (stands_out and likely):
             fitted[weakest] = cost if np.isfinite(cost) else most
@@ -159,8 +160,15 @@ def prune_insignificant(fits: Fits, best: Hypothesis, missing: Sequence[Candidat
             best, fitted, stay = rest, {}, set()
 
 
+def material_excess(best: Hypothesis, settings: SearchSettings) -> float:
+    """Excess that an effect of a hypothesis must remove at least: beside others that which separates noise from more than noise."""
+    if len(best.effects) > 1 and best.only_noise(settings):
+        return max(settings.max_noise_excess, best.by_chance)
+    return settings.min_excess_removed
+
+
 def form_error_allowance(effect: Candidate, wrong: float, taken: float, left: float, settings: SearchSettings) -> float:
-    """Excess that an effect must remove at least: material, and more than it could by compensating errors in the other effects' forms.
+    """Excess that an effect could remove by compensating errors in the other effects' forms.
 
     Those count in full, unless next to nothing is left: compensation does not reach the noise. Another value of the robot file does.
 
@@ -172,7 +180,7 @@ def form_error_allowance(effect: Candidate, wrong: float, taken: float, left: fl
         settings: of the search.
     """
     part = 1.0 if effect.name == PARAMETER else min(left / max(settings.min_mend_share * taken, 1e-12), 1.0)
-    return max(settings.min_excess_removed, wrong * part)
+    return wrong * part
 
 
 def _fit_without(fits: Fits, best: Hypothesis, effect: Candidate) -> tuple[Hypothesis | None, float]:
