@@ -94,8 +94,8 @@ def alternative_law_odds(
 
 
 def _acts_like(effect: Candidate, place: Place) -> bool:
-    """Whether an effect acts where a law does, so that both may say the same."""
-    if place.kind not in effect.acts:
+    """Whether an effect acts where a law does, so that both may say the same; no value of the robot file is the drag of a medium."""
+    if place.kind not in effect.acts or (effect.name == PARAMETER and (place.kind, place.variable) == ("force", "speed")):
         return False
     return place.kind == "force" or place.target == (effect.detail or ALL) or effect.name == PARAMETER
 

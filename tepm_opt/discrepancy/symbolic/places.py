@@ -212,7 +212,7 @@ def find_places(courses: Sequence[Course], settings: SymbolicSettings = DEFAULT)
     fastest = [max(float(np.linalg.norm(c.rate(c.points[:, k]), axis=1).max()) for c in courses) or 1.0 for k in range(layout.points)]
     drags, by_point = Powers((), (), 0), list(zip(layout.point_names, fastest, strict=True))
     if not static:
-        found += [Place("force", point, "speed", drags, most=most) for point, most in by_point]
+        found += [Place("force", point, "speed", drags, most=most) for point, most in ((ALL, fastest[-1]), *by_point)]
     found += [Place("measurement", ALL, "position", Powers.from_values(points.reshape(-1, 3), 3))]
     found += [Place("measurement", name, "position", Powers.from_values(points[:, k], 1)) for k, name in enumerate(layout.point_names)]
     if not static:
