@@ -198,6 +198,20 @@ def test_a_force_that_may_be_a_springs_is_doubted(constant: float, status: Verdi
     assert any("hose" in remark for remark in judged.remarks) == (constant < 1)
 
 
+@pytest.mark.parametrize("kind", ["drag", "spring"])
+def test_a_wrong_damping_has_to_hold_against_the_drag_of_a_medium(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A spring may say the same as a wrong value of the robot file; it does not count."""
+    damping = Candidate("parameter", "c_a", acts=("axial", "force", "measurement"))
+    best, without = hypothesis((damping,), 0.2), hypothesis((), 10.0)
+    found = Explanation(without, best, best, [without, best], [], {damping: 100.0}, {damping: [(best, 1.0)]})
+    variable = "speed" if kind == "drag" else "position"
+    place = SimpleNamespace(kind="force", variable=variable, target="all", label=f"force[all]({variable})")
+    law = SimpleNamespace(place=place, evidence=hypothesis((), 0.01).evidence)
+    monkeypatch.setattr(belief, "alternatives", lambda _: [law])
+    doubts = alternative_law_odds(found, SETTINGS, 0)
+    assert [each.effect_probability < 0.5 for each in doubts.values()] == ([True] if kind == "drag" else [])
+
+
 def test_an_exact_form_beside_one_that_is_not_may_leave_structure() -> None:
     """What is left may be the other's."""
     best, without = hypothesis((LAG, LOAD), 0.2), hypothesis((), 10.0)
