@@ -126,6 +126,15 @@ def test_beside_another_it_is_enough_to_separate_noise_from_more(without: float,
     assert named(searched({"": 4.0, "s1": without, "s2": 3.9, "s1 s2": left}, min_share_closed=0.0, repeat_forward=False)[0]) == kept
 
 
+@pytest.mark.parametrize(("smooth", "answer"), [(True, "s1"), (False, "s4")])
+def test_what_has_no_first_order_is_fitted_where_more_than_noise_is_left(
+    smooth: bool, answer: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """s4 promises a hundredth of what s1 does and explains everything; s1 leaves half."""
+    monkeypatch.setitem(EFFECTS, "s4", replace(EFFECTS["s4"], smooth=smooth))
+    assert named(searched({"": 8.0, "s1": 4.0, "s4": 0.01}, {"s1": 1.0, "s4": 0.01})[0]) == answer
+
+
 def test_an_effect_must_beat_going_without() -> None:
     """By a probability, here of one that is better in some blocks of time and worse in others."""
     excess, uneven = {**ONE, "": 1.0, "s1": 0.8, "s2": 2.0}, {"s1": 0.9}

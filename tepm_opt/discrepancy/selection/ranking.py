@@ -17,6 +17,8 @@ from tepm_opt.discrepancy.selection.screening import Score
 def fit_promising(fits: Fits, base: Hypothesis, scores: Sequence[Score], rival: Hypothesis | None = None) -> list[Hypothesis]:
     """Fit the candidates that promise most, each beside the effects of a hypothesis; fits that cannot compete may end early.
 
+    Where the first of all leave more than noise, so many more are fitted, and all that have no first order.
+
     Args:
         fits: all fits so far.
         base: the hypothesis.
@@ -45,7 +47,9 @@ def fit_promising(fits: Fits, base: Hypothesis, scores: Sequence[Score], rival: 
     trials += fits.fit_all([each for one in asked[len(trials) :] for each in one], solved, bound)
     least_left = min((t for t in trials if t is not None), key=lambda t: t.excess, default=None)
     if settings.adapt_fit_count and not (base.effects or rival or least_left is None or least_left.only_noise(settings)):
-        trials += fits.fit_all([each for one in list_starts(ranked[most : 2 * most]) for each in one], least_left, bound)
+        further, tried = ranked[most : 2 * most], {score.candidate for score in ranked[: 2 * most]}
+        further += [score for score in scores if not score.candidate.smooth and score.candidate not in tried]  # first order misjudges them
+        trials += fits.fit_all([each for one in list_starts(further) for each in one], least_left, bound)
     found = [trial for trial in trials if trial is not None]
     below = _scores_above_best(found if rival is None else [*found, rival], scores, ranked)
     found += [t for t in fits.fit_all([each for one in list_starts(below) for each in one], solved, bound) if t is not None]

@@ -19,6 +19,7 @@ pytestmark = pytest.mark.slow
         pytest.param(101003, 459, id="scatter, which is no weak muscle and load"),
         pytest.param(101003, 475, id="a tracker whose drift ends"),
         pytest.param(101003, 480, id="a tendon that lost its whole tension"),
+        pytest.param(120001, 187, id="creep, of which first order promises a tenth, and a clock"),
         pytest.param(120001, 243, id="an offset that leaves an eighth of the squared noise beside a turned tracker"),
     ],
 )
