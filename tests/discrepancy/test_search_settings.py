@@ -130,9 +130,9 @@ def test_beside_another_it_is_enough_to_separate_noise_from_more(without: float,
 def test_what_has_no_first_order_is_fitted_where_more_than_noise_is_left(
     smooth: bool, answer: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """s4 promises a hundredth of what s1 does and explains everything; s1 leaves half."""
+    """s4 promises a hundredth of what s1 does and explains everything; s1 leaves a quarter."""
     monkeypatch.setitem(EFFECTS, "s4", replace(EFFECTS["s4"], smooth=smooth))
-    assert named(searched({"": 8.0, "s1": 4.0, "s4": 0.01}, {"s1": 1.0, "s4": 0.01})[0]) == answer
+    assert named(searched({"": 8.0, "s1": 2.0, "s4": 0.01}, {"s1": 1.0, "s4": 0.01})[0]) == answer
 
 
 def test_an_effect_must_beat_going_without() -> None:
