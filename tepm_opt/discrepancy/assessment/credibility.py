@@ -107,7 +107,7 @@ class EffectChecks:
     Attributes:
         laws: that compete with effects besides their rivals.
         constancy: sizes of effects in segments of the data.
-        constant: probabilities that forces are constant, see `tether.constant_force_probability`.
+        constant: probabilities that forces are constant, see `tether.constant_force_probabilities`.
     """
 
     laws: Mapping[Candidate, AlternativeLaw] = field(default_factory=dict)

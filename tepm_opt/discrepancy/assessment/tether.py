@@ -20,7 +20,9 @@ from tepm_opt.discrepancy.symbolic.score import prior_of
 def constant_force_probabilities(best: Hypothesis, settings: SearchSettings) -> dict[Candidate, float]:
     """Probability of each force in N of known form that it is constant, rather than that of a spring tied an arm's length away.
 
-    Only where no more than noise is left: else that, whatever it is, would decide. None where the plant is not a network.
+    Both are as likely before. The odds are the ratio of the likelihoods of a stiffness of force over length and of none (Kass and Raftery,
+    Journal of the American Statistical Association 90, 1995). Only where no more than noise is left: else that, whatever it is, would
+    decide. None where the plant is not a network.
 
     Args:
         best: fit of the effects.
@@ -46,8 +48,7 @@ def constant_force_probabilities(best: Hypothesis, settings: SearchSettings) -> 
 def _fit_spring(best: Hypothesis, network: Network) -> tuple[float, float, float]:
     """Stiffness in N/m of a spring at the tip beside the effects of a fit and its standard deviation, and the length of the arm in m.
 
-    It is fitted to first order, with all parameters following. The odds of a spring are the ratio of its likelihoods at force over length
-    and at zero (Kass and Raftery, Journal of the American Statistical Association 90, 1995), both as likely before.
+    It is fitted to first order, with all parameters following. Neighbours in time count as often as they say something new.
     """
     estimate, layout = best.estimate, network.model.layout
     courses, count = simulate_courses(network, estimate.problem.runs), len(estimate.problem.free)
