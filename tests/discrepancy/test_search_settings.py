@@ -135,6 +135,11 @@ def test_what_has_no_first_order_is_fitted_where_more_than_noise_is_left(
     assert named(searched({"": 8.0, "s1": 2.0, "s4": 0.01}, {"s1": 1.0, "s4": 0.01})[0]) == answer
 
 
+def test_of_three_each_must_take_away_more() -> None:
+    """Small ones together may be in the place of something else."""
+    assert named(searched({"": 4.0, "s1": 2.0, "s2": 3.0, "s1 s2": 0.1, "s1 s2 s3": 0.0}, {"s1": 1.0, "s2": 0.9, "s3": 0.8})[0]) == "s1 s2"
+
+
 def test_an_effect_must_beat_going_without() -> None:
     """By a probability, here of one that is better in some blocks of time and worse in others."""
     excess, uneven = {**ONE, "": 1.0, "s1": 0.8, "s2": 2.0}, {"s1": 0.9}

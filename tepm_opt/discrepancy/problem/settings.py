@@ -20,8 +20,8 @@ class SearchSettings:
         chance_excess: excess that counts as chance, because the noise is a model's error on other data (`baseline`).
         chance_sigmas: standard deviations by which parameters may be off what other data tell of them by chance.
         min_size_sigma: standard deviations by which an effect's size must differ from the size at which it vanishes to be named.
-        min_excess_removed: excess that an effect must remove alone to be named: 0.15 is 39 % of the noise's standard deviation. Beside
-            others, with which only noise is left, it must remove `max_noise_excess`.
+        min_excess_removed: excess that an effect must remove alone to be named: 0.15 is 39 % of the noise's standard deviation. One of two
+            that leave only noise must remove `max_noise_excess`.
         min_probability: probability by which one more effect must beat going without it to be tried along.
         even_odds_ratio: how many times the excess left an effect alone must remove for even odds that it is a cause, not a stand-in.
         even_odds_exact: the same where the forms of all effects that act are known exactly.

@@ -161,8 +161,11 @@ def prune_insignificant(fits: Fits, best: Hypothesis, missing: Sequence[Candidat
 
 
 def material_excess(best: Hypothesis, settings: SearchSettings) -> float:
-    """Excess that an effect of a hypothesis must remove at least: beside others that which separates noise from more than noise."""
-    if len(best.effects) > 1 and best.only_noise(settings):
+    """Excess that an effect of a hypothesis must remove at least; of a pair, what separates noise from more than noise.
+
+    Of more effects each may be small together with the others in the place of something else.
+    """
+    if len(best.effects) == 2 and best.only_noise(settings):
         return max(settings.max_noise_excess, best.by_chance)
     return settings.min_excess_removed
 
