@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -145,7 +145,8 @@ def check_clock(
 
     No machine leads its inputs. One that trails them may be slow, and no limit in seconds tells a slow machine from a clock. But a slow
     machine smears its commands, and a clock does not: a long shift counts only where no first-order lag explains nearly as much. The
-    shift must explain most of what the effects leave, or most of what recalibration leaves and more than the effects do.
+    shift must explain most of what the effects leave, or most of what recalibration leaves and more than the effects do; effects that are
+    such a shift themselves, as a delay of a second is, do not count.
 
     Args:
         runs: measured.
@@ -155,8 +156,12 @@ def check_clock(
         settings: thresholds.
     """
     without, best = (find_time_shift(runs, points, noise, settings) for points in (recalibrated, corrected))
-    if without.is_clock(settings.clock_min_explained) and without.squares_after < best.squares_before:
-        return ClockShift("", without.seconds, without.explained)
+    if without.is_clock(settings.clock_min_explained):
+        modelled = [replace(run, points=points) for run, points in zip(runs, corrected, strict=True)]
+        delayed = find_time_shift(modelled, recalibrated, noise, settings)
+        only_late = delayed.seconds > 0 and delayed.is_clock(settings.clock_min_explained)
+        if without.squares_after < best.squares_before or only_late:
+            return ClockShift("", without.seconds, without.explained)
     if best.is_clock(settings.clock_min_explained):
         return ClockShift("", best.seconds, best.explained)
     for run, points in zip(runs, corrected, strict=True):
