@@ -33,7 +33,7 @@ def constant_force_probabilities(best: Hypothesis, settings: SearchSettings) -> 
     """
     network = as_network(best.estimate.plant)
     units = {free.name: free.unit for free in best.estimate.problem.free}
-    forces = [e for e in best.effects if e.exact and e.acts == ("force",) and all(units[name] == "N" for name in e.parameters)]
+    forces = [e for e in best.effects if e.exact and e.acts == ("force",) and all(units.get(name) == "N" for name in e.parameters)]
     if not forces or network is None or not best.only_noise(settings):
         return {}
     stiffness, std, arm = _fit_spring(best, network)
