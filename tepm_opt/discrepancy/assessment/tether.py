@@ -48,7 +48,8 @@ def constant_force_probabilities(best: Hypothesis, settings: SearchSettings) -> 
 def _fit_spring(best: Hypothesis, network: Network) -> tuple[float, float, float]:
     """Stiffness in N/m of a spring at the tip beside the effects of a fit and its standard deviation, and the length of the arm in m.
 
-    It is fitted to first order, with all parameters following. Neighbours in time count as often as they say something new.
+    It is fitted to first order, with all parameters following. Its deviation allows for errors that are alike within a block
+    of time (White, Econometrica 48, 1980, by blocks).
     """
     estimate, layout = best.estimate, network.model.layout
     courses, count = simulate_courses(network, estimate.problem.runs), len(estimate.problem.free)
@@ -58,12 +59,14 @@ def _fit_spring(best: Hypothesis, network: Network) -> tuple[float, float, float
     basis[:count, :count] = np.eye(count)
     basis[[count + 1, count + 6, count + 11], count] = -1.0  # along each axis by its own coordinate
     precision, pull = prior_of(estimate.problem, estimate.values)
-    square, slope = np.diag(np.append(precision, 0.0)), np.append(pull, 0.0)
-    for run in normal_equations_by_place(estimate, courses, [affine])[0]:
-        square = square + best.evidence.worth * basis.T @ run.square.sum(axis=0) @ basis
-        slope = slope + best.evidence.worth * basis.T @ run.slope.sum(axis=0)
+    runs = normal_equations_by_place(estimate, courses, [affine])[0]
+    squares = np.concatenate([basis.T @ run.square @ basis for run in runs])  # (blocks, columns, columns)
+    slopes = np.concatenate([run.slope @ basis for run in runs])
+    square, slope = squares.sum(axis=0) + np.diag(np.append(precision, 0.0)), slopes.sum(axis=0) + np.append(pull, 0.0)
     scale = np.sqrt(np.maximum(np.diag(square), 1e-300))
     covariance = np.linalg.pinv(square / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
     lengths = np.concatenate([course.lengths.reshape(len(course.lengths), layout.modules, -1) for course in courses])
     arm = float(lengths.mean(axis=2).sum(axis=1).mean())
-    return -float(covariance[count] @ slope), float(np.sqrt(covariance[count, count])), arm
+    step = -covariance @ slope
+    scatter = float(np.sum(((slopes + squares @ step) @ covariance[count]) ** 2))
+    return float(step[count]), float(np.sqrt(max(covariance[count, count], scatter))), arm
