@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from tepm_opt.data.setpoints import SetPoints
 from tepm_opt.discrepancy.adapters.network import SearchableNetwork
@@ -30,7 +31,12 @@ def network() -> SearchableNetwork:
     return SearchableNetwork.from_model(model, channels_of(model.robot))
 
 
-def explained(network: SearchableNetwork, kang: CompiledModel, stiffness: float, constant: bool) -> Hypothesis:
+def coloured(white: np.ndarray, memory: float) -> np.ndarray:
+    """Noise of unit variance that keeps a part of its value from sample to sample."""
+    return np.asarray(lfilter([np.sqrt(1 - memory**2)], [1, -memory], white, axis=0))
+
+
+def explained(network: SearchableNetwork, kang: CompiledModel, stiffness: float, constant: bool, memory: float = 0.0) -> Hypothesis:
     """Fit of a constant force to runs under that of a spring, or under a constant one as large as the spring's at rest."""
     random, runs = np.random.default_rng(5), []
     for run in measured(kang, planned(FILES), noise=0.0):
@@ -38,7 +44,7 @@ def explained(network: SearchableNetwork, kang: CompiledModel, stiffness: float,
         for _ in range(3):  # until force and motion agree
             forces[:, -1] = stiffness * (TIED - (HANGING if constant else points[:, -1]))
             points = simulate(kang, SetPoints(run.time, run.inputs, run.tip_force), step=STEP, loads=forces).complete().points
-        runs.append(cut(replace(run, points=points + NOISE * random.normal(size=points.shape)), 6.0))
+        runs.append(cut(replace(run, points=points + NOISE * coloured(random.normal(size=points.shape), memory)), 6.0))
     problem = Problem(network, tuple(runs), network.free(network.known), NOISE, step=0.01, derivatives_apart=network.derivatives_apart)
     fits = Fits(problem, SETTINGS)
     effect = next(c for c in network.candidates if c.name == "external_load")
@@ -55,3 +61,9 @@ def test_a_hose_is_told_from_a_weight(network: SearchableNetwork, kang: Compiled
     assert best.only_noise(SETTINGS)
     (found,) = constant_force_probabilities(best, SETTINGS).values()
     assert found > 0.9 if constant else found < 0.1
+
+
+def test_coloured_noise_makes_no_hose(network: SearchableNetwork, kang: CompiledModel) -> None:
+    """Taken for white, noise that remembers 0.9 of itself says with certainty that a constant force is a spring's."""
+    (found,) = constant_force_probabilities(explained(network, kang, 0.1, True, memory=0.9), SETTINGS).values()
+    assert found > 0.05
