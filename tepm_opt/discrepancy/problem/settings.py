@@ -105,6 +105,8 @@ class SearchSettings:
         max_wide_pair_share: alternatives: share of the excess without a wide effect that a pair in its place may promise to leave.
         max_parts_loss: alternatives: share of what a wide effect removes that single parts in its place may leave besides.
         max_pair_excess: alternatives: how many times the excess left a pair in an effect's place may promise to add.
+        min_pair_weight: alternatives: probability from which a pair is compared with either of the two beside the effect that it replaces.
+        min_centred_chance: alternatives: chance of its mean from which scatter counts as about zero; the odds that it may be about another.
     """
 
     max_noise_excess: float = 0.05
@@ -191,6 +193,8 @@ class SearchSettings:
     max_wide_pair_share: float = 0.1
     max_parts_loss: float = 0.02
     max_pair_excess: float = 0.5
+    min_pair_weight: float = 0.05
+    min_centred_chance: float = 0.002
 
     @staticmethod
     def for_plant(plant: Plant) -> SearchSettings:

@@ -14,6 +14,7 @@ from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.cross_validation import in_sample, weights
 from tepm_opt.discrepancy.selection.fitting import Effects, Fits, Hypothesis, may_act_beside
 from tepm_opt.discrepancy.selection.ranking import beats, fit_promising, fit_values_at_limits, largest_excess_of_parts, rank_promising
+from tepm_opt.discrepancy.selection.scatter import fit_common_causes, is_centred
 from tepm_opt.discrepancy.selection.screening import Score, screen_by_fits
 from tepm_opt.discrepancy.selection.significance import is_significant
 
@@ -37,14 +38,18 @@ def replacements(
         scores = _start_from_best(fits, best, rest, _scores(fits, rest, effect, missing), missing)
         others += [h for h in fit_promising(fits, rest, scores, best) if effect not in h.effects]
         more = (*_fit_changes_in_pause(fits, rest, effect, missing), *_fit_pair(fits, best, rest, effect, scores, missing))
-        others += [h for h in (*more, *fit_values_at_limits(fits, rest, missing, best)) if h not in others]
+        more = (*more, *fit_common_causes(fits, best, rest, effect, missing), *fit_values_at_limits(fits, rest, missing, best))
+        others += [h for h in more if h not in others]
     others = [h for h in others if all(is_significant(h.estimate, c, settings) for c in h.effects if c not in best.effects)]
-    others = [h for h in others if beats(h, best, seed, settings) or all(c.form_of != effect.form_of for c in h.effects)]
+    other_forms = [h for h in others if effect in h.effects or all(c.form_of != effect.form_of for c in h.effects)]
+    others = [h for h in others if h in other_forms or beats(h, best, seed, settings)]
     group = [best, *(h for h in others if h is not best)]
     weight = weights([h.evidence for h in group], seed)
     if rest is not None and not settings.refit_folds:
         weight = _average_coincident(group, weight, rest, settings, seed)
     weight = _favour_plain(group, weight, settings)
+    weight = _favour_centred(group, weight, settings)
+    weight = _exclude_outdone_pairs(fits, group, weight, seed)
     most = largest_excess_of_parts(best, rest, effect, settings)
     enough = [k for k, h in enumerate(group) if h.left <= most and h is not best and not _is_mixed_pair(h, best)]
     if enough:
@@ -70,6 +75,42 @@ def _favour_plain(group: Sequence[Hypothesis], weight: np.ndarray, settings: Sea
     causes = np.array([len(h.effects) for h in group])
     weight = weight / settings.all_runs_odds ** (partly - partly.min()) / settings.one_cause_odds ** (causes - causes.min())
     return weight / weight.sum()
+
+
+def _favour_centred(group: Sequence[Hypothesis], weight: np.ndarray, settings: SearchSettings) -> np.ndarray:
+    """Probabilities of hypotheses where scatter about another mean than zero gives way to all that fits nearly as well.
+
+    Args:
+        group: the hypotheses.
+        weight: their probabilities, (hypotheses,).
+        settings: of the search.
+    """
+    odds = [1.0 if is_centred(h, settings) else settings.min_centred_chance for h in group]
+    return weight * odds / max(float(weight @ odds), 1e-300)
+
+
+def _exclude_outdone_pairs(fits: Fits, group: Sequence[Hypothesis], weight: np.ndarray, seed: int) -> np.ndarray:
+    """Probabilities without pairs in the place of an effect one of which, beside that effect, predicts better than both of them.
+
+    What such a pair does better than the effect alone is the work of the one that can stand beside it.
+
+    Args:
+        fits: all fits so far.
+        group: the hypotheses, first the one in which others take an effect's place.
+        weight: their probabilities, (hypotheses,).
+        seed: of random draws.
+    """
+    best, found = group[0], weight.copy()
+    gone = {e for h in group for e in best.effects if e not in h.effects}
+    if any(fits.settings.is_wide(effect) for effect in gone):
+        return weight
+    for k, pair in enumerate(group):
+        new = [c for c in pair.effects if c not in best.effects]
+        if len(new) == 2 and weight[k] > fits.settings.min_pair_weight:
+            asked = [((*best.effects, c), pair.estimate.named | best.estimate.named) for c in new if may_act_beside(c, best.effects)]
+            beside = [h for h in fits.fit_all(asked) if h is not None]
+            found[k] = 0.0 if any(weights([h.evidence, pair.evidence], seed)[0] > 0.5 for h in beside) else weight[k]
+    return found / found.sum() if found.sum() > 0 else np.eye(len(group))[0]
 
 
 def _start_from_best(fits: Fits, best: Hypothesis, rest: Hypothesis, scores: list[Score], missing: Sequence[Candidate]) -> list[Score]:

@@ -12,6 +12,7 @@ from tepm_opt.discrepancy.problem.plant import Candidate
 from tepm_opt.discrepancy.problem.settings import SearchSettings
 from tepm_opt.discrepancy.selection.fitting import Effects, Fits, Hypothesis
 from tepm_opt.discrepancy.selection.matching_pursuit import form_error_allowance, material_excess
+from tepm_opt.discrepancy.selection.scatter import is_centred
 from tepm_opt.discrepancy.selection.significance import is_significant
 from tepm_opt.solvers.mechanics.plant import PredictionError
 from tepm_opt.solvers.numerics.parallel import in_parallel
@@ -81,7 +82,7 @@ def _shares(
 ) -> tuple[Shares, dict[Candidate, float]]:
     """Share of every effect: the excess that it removes over the excess left, 0 where form errors of others may; and that excess itself.
 
-    Both are infinite where the model cannot do the runs without an effect, or gauges show it.
+    Both are infinite where the model cannot do the runs without an effect, gauges show it, or scatter in its place is not about zero.
 
     Args:
         fits: all fits so far.
@@ -93,7 +94,8 @@ def _shares(
     shares, lost, left = Shares(), dict[Candidate, float](), _excess_left(best, fits.settings)
     for effect, found in without.items():
         shares[effect], lost[effect] = np.inf, np.inf
-        if found is not None and effect not in fits.gauge_effects:
+        common = found is not None and is_centred(best, fits.settings) and not is_centred(found, fits.settings)
+        if found is not None and effect not in fits.gauge_effects and not common:
             taken = lost[effect] = found.excess - best.excess
             wrong = sum(size for other, size in doubt.items() if other != effect)
             allowance = 0.0 if found.effects in refuted else form_error_allowance(effect, wrong, taken, left, fits.settings)

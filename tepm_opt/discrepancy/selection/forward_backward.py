@@ -106,8 +106,12 @@ def explain(fits: Fits, missing: Sequence[Candidate], seed: int) -> Explanation:
             better, weight = max(weakest, key=lambda pair: pair[1])
             if better is best or weight < 0.5:
                 break
+            then = _eliminate(fits, fits.complete(better), missing, seed, {*refuted, best.effects})
+            if _takes_back(then[0], better, best, seed, settings):
+                groups = {e: _leave_out(better, group) for e, group in groups.items()}
+                continue
             refuted.add(best.effects)
-            best, shares, groups = _eliminate(fits, fits.complete(better), missing, seed, refuted)
+            best, shares, groups = then
         if best.effects in visited or not settings.repeat_forward:
             break
         visited.add(best.effects)
@@ -123,6 +127,26 @@ def explain(fits: Fits, missing: Sequence[Candidate], seed: int) -> Explanation:
     unchanged = settings.chance_excess > 0 and best is without and best.only_noise(settings)
     tried, scores = list(fits.done.values()), [] if unchanged else fits.screen(base, missing)
     return Explanation(without, best, widest, tried, scores, shares, groups, base if fits.gauge_effects else None, settings)
+
+
+def _takes_back(then: Hypothesis, better: Hypothesis, best: Hypothesis, seed: int, settings: SearchSettings) -> bool:
+    """Whether what elimination leaves of a rival has no fewer effects than the hypothesis that it displaced, and surely predicts worse.
+
+    Args:
+        then: what is left of the rival.
+        better: the rival.
+        best: the hypothesis displaced.
+        seed: of random draws.
+        settings: of the search.
+    """
+    return then.effects != better.effects and len(then.effects) >= len(best.effects) and beats(best, then, seed, settings)
+
+
+def _leave_out(rival: Hypothesis, group: list[tuple[Hypothesis, float]]) -> list[tuple[Hypothesis, float]]:
+    """A group of hypotheses and probabilities without one of them."""
+    left = [(h, weight) for h, weight in group if h is not rival]
+    total = sum(weight for _, weight in left)
+    return [(h, weight / total if total > 0 else float(k == 0)) for k, (h, weight) in enumerate(left)]
 
 
 def _select_forward(fits: Fits, base: Hypothesis, missing: Sequence[Candidate], seed: int) -> Hypothesis:
