@@ -63,8 +63,9 @@ def alternative_law_odds(
     """Compare the effects of the best hypothesis with smooth laws in their place.
 
     A force of known form gives way to one by place beside it that surely predicts better, however little is left, unless a law elsewhere
-    surely predicts still better: then something else is left. Where more than noise is left, any effect competes with laws that act
-    elsewhere. A law that predicts left-out data better, although it is only fitted to first order, shows that the effect is a stand-in.
+    surely predicts still better: then something else is left. Where more than noise is left, so does a single effect to a drag beside it,
+    and any effect competes with laws that act elsewhere. A law that predicts left-out data better, although it is only fitted to first
+    order, shows that the effect is a stand-in.
 
     Args:
         explanation: result of the search.
@@ -75,15 +76,12 @@ def alternative_law_odds(
     best = explanation.best
     found: dict[Candidate, AlternativeLaw] = {}
     if pushing := [effect for effect in best.effects if effect.exact and effect.acts == ("force",)]:
-        laws, unlikely = sorted(alternatives(best.estimate), key=lambda law: law.evidence.excess), 1 - settings.min_probability
-        spring = next((law for law in laws if (law.place.kind, law.place.variable) == ("force", "position")), None)
-        if spring is not None and spring.evidence.excess < thresholds.spring_max_excess * best.excess:
-            holds = float(weights([best.evidence.without_prior, spring.evidence], seed)[0])
-            likely = float(weights([spring.evidence, laws[0].evidence], seed)[0])
-            if holds < unlikely <= likely:  # of next to nothing chance may take away half
-                found = dict.fromkeys(pushing, AlternativeLaw(holds, spring))
+        spring = _force_beside(best, "position", settings, seed, thresholds)
+        found = dict.fromkeys(pushing, spring) if spring else {}
     if best.only_noise(settings):
         return found
+    if len(best.effects) == 1 and not found and (drag := _force_beside(best, "speed", settings, seed, thresholds)):
+        return dict.fromkeys(best.effects, drag)
     for effect in (effect for effect in best.effects if effect not in found):
         rest = explanation.best_without(effect)
         laws = [] if rest is None else [law for law in alternatives(rest.estimate) if not _acts_like(effect, law.place)]
@@ -91,6 +89,27 @@ def alternative_law_odds(
             first = min(laws, key=lambda law: law.evidence.excess)
             found[effect] = AlternativeLaw(float(weights([best.evidence.without_prior, first.evidence], seed)[0]), first)
     return found
+
+
+def _force_beside(
+    best: Hypothesis, variable: str, settings: SearchSettings, seed: int, thresholds: AssessmentSettings
+) -> AlternativeLaw | None:
+    """A force by position or speed that surely predicts better beside a hypothesis, and than which no law surely does; None without one.
+
+    Args:
+        best: the hypothesis.
+        variable: "position" or "speed".
+        settings: of the search.
+        seed: of random draws.
+        thresholds: of the assessment.
+    """
+    laws, unlikely = sorted(alternatives(best.estimate), key=lambda law: law.evidence.excess), 1 - settings.min_probability
+    force = next((law for law in laws if (law.place.kind, law.place.variable) == ("force", variable)), None)
+    if force is None or force.evidence.excess >= thresholds.beside_max_excess * best.excess:  # of next to nothing chance may take half
+        return None
+    holds = float(weights([best.evidence.without_prior, force.evidence], seed)[0])
+    likely = float(weights([force.evidence, laws[0].evidence], seed)[0])
+    return AlternativeLaw(holds, force) if holds < unlikely <= likely else None
 
 
 def _acts_like(effect: Candidate, place: Place) -> bool:

@@ -23,7 +23,7 @@ class AssessmentSettings:
         min_gap_closed: share of the squared gap on runs not used that the effects must close, 0 to 1.
         min_gap_closed_absent: the same with effects left out of runs that do not show them; more, as those runs have shown that.
         scatter_even_odds: chance of a pattern at which it is as likely as not that scatter is something else, 0 to 1.
-        spring_max_excess: share of the excess that a force by place may leave beside a force of known form for that to be doubted, 0 to 1.
+        beside_max_excess: share of the excess that a force by place or speed may leave beside an effect for that to be doubted, 0 to 1.
         noise_excess: excess that noise may seem to have which is a little more than was assumed; noise is known to half a percent.
         spread_even_odds: spread of an effect's sizes over its size at which it is as likely as not a cause; positive.
         spread_remark: spread of sizes that is worth a remark; positive.
@@ -61,7 +61,7 @@ class AssessmentSettings:
     min_gap_closed: float = 0.1
     min_gap_closed_absent: float = 0.9
     scatter_even_odds: float = 0.002
-    spring_max_excess: float = 0.7
+    beside_max_excess: float = 0.7
     noise_excess: float = 0.015
     spread_even_odds: float = 0.5
     spread_remark: float = 0.3

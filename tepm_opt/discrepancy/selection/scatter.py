@@ -32,8 +32,8 @@ def fit_common_causes(fits: Fits, best: Hypothesis, rest: Hypothesis, effect: Ca
     if not effect.scatters or is_centred(best, fits.settings):
         return []
     common = [c for c in missing if not (c.smooth or c.part) and may_act_beside(c, rest.effects)]
-    asked = [((*rest.effects, c), {**best.estimate.named, **c.probes[0]}) for c in common]
-    alone = [h for h in fits.fit_all(asked, bound=rest.estimate.cost) if h is not None and not h.estimate.out_of_reach]
+    asked = [((*rest.effects, c), {**rest.estimate.named, **c.probes[0]}) for c in common]
+    alone = [h for h in fits.fit_all(asked) if h is not None]
     if not alone:
         return []
     first = fits.complete(min(alone, key=lambda h: h.excess))
