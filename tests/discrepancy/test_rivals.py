@@ -1,0 +1,108 @@
+"""Rivals of effects: what stands in for scatter, pairs that one of them outdoes, and replacements that do not hold."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tepm_opt.discrepancy.adapters.network import candidate
+from tepm_opt.discrepancy.problem.plant import Candidate
+from tepm_opt.discrepancy.problem.settings import SearchSettings
+from tepm_opt.discrepancy.selection import alternatives as rivals
+from tepm_opt.discrepancy.selection import elimination, forward_backward, scatter
+from tepm_opt.discrepancy.selection.fitting import Hypothesis
+from tests.discrepancy.table import EFFECTS, Table, hypothesis
+
+SETTINGS = SearchSettings()
+SCATTER = Candidate("actuator_scatter", "all", {f"offset_{k}": 0.0 for k in range(6)}, scatters=True)
+DEAD_ZONE = Candidate("pressure_dead_zone", "dead", {"threshold": 0.0}, ({"threshold": 1.0},), smooth=False)
+GAIN = Candidate("actuator_gain", "11", {"loss": 0.0}, part="actuator")
+PAYLOAD, LOAD, MASSES = candidate("payload"), candidate("external_load"), candidate("mass_distribution")
+
+
+def scattered(offsets: list[float], std: float = 0.1) -> Hypothesis:
+    """A hypothesis whose scatter has these offsets."""
+    found = hypothesis((SCATTER,), 0.01)
+    free = [SimpleNamespace(name=name, group="offsets", prior_mean=0.0) for name in SCATTER.parameters]
+    estimate: Any = SimpleNamespace(**vars(found.estimate) | {"problem": SimpleNamespace(free=free), "values": offsets, "std": [std] * 6})
+    return replace(found, estimate=estimate)
+
+
+def test_offsets_that_are_all_alike_are_not_centred() -> None:
+    """A dead zone of 5 kPa lowers all pressures."""
+    assert not scatter.is_centred(scattered([-5.2, -5.3, -5.3, -5.4, -5.3, -5.2]), SETTINGS)
+    assert scatter.is_centred(scattered([-5.2, 3.1, 0.4, -1.2, 4.3, -2.0]), SETTINGS)
+    assert scatter.is_centred(scattered([-5.2, -5.3, -5.3, -5.4, -5.3, -5.2], std=5.0), SETTINGS), "they may be anything"
+    assert scatter.is_centred(hypothesis((GAIN,), 0.0), SETTINGS), "nothing scatters"
+
+
+@pytest.mark.parametrize("centred", [True, False])
+def test_what_all_actuators_have_in_common_is_tried_where_scatter_is_not_centred(centred: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Alone, with the part that promises most beside it, and with scatter about it."""
+    monkeypatch.setattr(scatter, "is_centred", lambda *_: centred)
+    table: Any = Table(SETTINGS, {"dead": 3.0, "11 dead": 0.01}, {})
+    table.linear = lambda *_: SimpleNamespace(gain=lambda effects: (0.9, {}), able=[GAIN, LOAD])
+    found = scatter.fit_common_causes(table, hypothesis((SCATTER,), 0.01), hypothesis((), 8.0), SCATTER, [SCATTER, DEAD_ZONE, GAIN, LOAD])
+    assert [{*h.effects} for h in found] == ([] if centred else [{DEAD_ZONE}, {DEAD_ZONE, GAIN}, {DEAD_ZONE, SCATTER}])
+
+
+def test_scatter_about_another_mean_gives_way_to_what_fits_nearly_as_well() -> None:
+    best, other = scattered([-5.2, 3.1, 0.4, -1.2, 4.3, -2.0]), hypothesis((DEAD_ZONE, GAIN), 0.011)
+    assert rivals._favour_centred([best, other], np.array([0.9, 0.1]), SETTINGS) == pytest.approx([0.9, 0.1])
+    best = scattered([-5.2, -5.3, -5.3, -5.4, -5.3, -5.2])
+    assert rivals._favour_centred([best, other], np.array([0.9, 0.1]), SETTINGS) == pytest.approx([0.018, 0.982], abs=1e-3)
+    assert rivals._favour_centred([best, other], np.array([1.0, 1e-9]), SETTINGS)[0] == pytest.approx(1.0, abs=1e-5)
+
+
+@pytest.mark.parametrize("centred", [True, False])
+def test_what_keeps_scatter_about_zero_stays_however_little_it_removes(centred: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Scatter alone leaves hardly more, as all of its offsets do what the dead zone does."""
+    monkeypatch.setattr(elimination, "is_significant", lambda *_: True)
+    monkeypatch.setattr(elimination, "_output", lambda *_: 0.0)
+    monkeypatch.setattr(elimination, "is_centred", lambda h, _: centred or DEAD_ZONE in h.effects)
+    table: Any = Table(SETTINGS, {"": 50.0, "all": 0.012, "dead": 30.0, "all dead": 0.01}, {})
+    best, shares = elimination.eliminate_backward(table, table.fit((SCATTER, DEAD_ZONE), {}))
+    assert {*best.effects} == ({SCATTER} if centred else {SCATTER, DEAD_ZONE})
+    assert shares.get(DEAD_ZONE, 0.0) == (0.0 if centred else np.inf)
+
+
+@pytest.mark.parametrize(("beside", "weight"), [(0.2, 0.0), (0.8, 0.5)])
+def test_a_pair_one_of_which_outdoes_it_beside_the_effect_is_no_rival(beside: float, weight: float) -> None:
+    """What a load and masses do better than a payload may be the load's work."""
+    best, pair = hypothesis((PAYLOAD,), 0.5), hypothesis((LOAD, MASSES), 0.4)
+    table: Any = Table(SETTINGS, {}, {})
+    beside_it = hypothesis((LOAD, PAYLOAD), beside)
+    table.done = {h.effects: h for h in (beside_it,)}
+    found = rivals._exclude_outdone_pairs(table, [best, pair], np.array([0.5, 0.5]), 0)
+    assert found == pytest.approx([1 - weight, weight])
+
+
+def test_a_pair_in_the_place_of_scatter_is_not_compared_with_scatter_beside_it() -> None:
+    """One more parameter for every actuator predicts better than two in any case."""
+    best, pair = hypothesis((SCATTER,), 0.01), hypothesis((GAIN, LOAD), 0.02)
+    table: Any = Table(SETTINGS, {}, {})
+    assert rivals._exclude_outdone_pairs(table, [best, pair], np.array([0.2, 0.8]), 0) == pytest.approx([0.2, 0.8])
+    assert not table.done
+
+
+@pytest.mark.parametrize(
+    ("left", "excess", "back"),
+    [("s2 s3", 0.5, False), ("s2", 0.5, True), ("s2", 0.01, False), ("", 0.5, False)],
+    ids=["nothing eliminated", "worse with as many", "not worse", "fewer"],
+)
+def test_a_rival_that_does_not_hold_is_taken_back(left: str, excess: float, back: bool) -> None:
+    """What elimination leaves of it would have been a rival by itself, and a worse one."""
+    best, better = hypothesis((EFFECTS["s1"],), 0.02), hypothesis((EFFECTS["s2"], EFFECTS["s3"]), 0.02)
+    then = hypothesis(tuple(EFFECTS[label] for label in left.split()), excess)
+    assert forward_backward._takes_back(then, better, best, 0, SETTINGS) is back
+
+
+def test_a_group_without_a_rival_shares_its_probability() -> None:
+    one, other, third = (hypothesis((EFFECTS[label],), 0.1) for label in ("s1", "s2", "s3"))
+    left = forward_backward._leave_out(other, [(one, 0.1), (other, 0.6), (third, 0.3)])
+    assert {h.effects: p for h, p in left} == pytest.approx({one.effects: 0.25, third.effects: 0.75})
+    assert forward_backward._leave_out(other, [(one, 0.0), (other, 1.0)]) == [(one, 1.0)]
