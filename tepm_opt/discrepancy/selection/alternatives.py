@@ -258,13 +258,17 @@ def coincidence(rest: Hypothesis, one: Hypothesis, other: Hypothesis) -> float:
 
 
 def _scores(fits: Fits, rest: Hypothesis, effect: Candidate, missing: Sequence[Candidate]) -> list[Score]:
-    """Scores of rivals of an effect; of one that acts in some runs only, rivals in the same runs or in all."""
+    """Scores of rivals of an effect; of one that acts in some runs only, rivals in the same runs, in all others, or in all.
+
+    What acts in the first runs only is, beside other values of all parameters, what does the reverse from then on.
+    """
     is_wide = fits.settings.is_wide
     if not effect.runs:
         return [score for score in fits.screen(rest, missing) if not is_wide(score.candidate) or score.candidate == effect]
     linear = fits.linear(rest, missing)
     able = [c for c in linear.able if not is_wide(c)]
-    others = [*able, *(replace(c, runs=effect.runs) for c in able)]
+    elsewhere = tuple(run.file for run in fits.problem.runs if run.file not in effect.runs)
+    others = [*able, *(replace(c, runs=runs) for runs in (effect.runs, elsewhere) if runs for c in able)]
     scores = [Score(c, *linear.gain((*rest.effects, c))) for c in others]
     if fits.settings.screen_by_fits:
         nonsmooth = [replace(c, runs=effect.runs) for c in missing if not c.smooth and may_act_beside(c, rest.effects)]

@@ -96,6 +96,7 @@ def explain(fits: Fits, missing: Sequence[Candidate], seed: int) -> Explanation:
     best = together or _select_forward(fits, base, missing, seed)
     if together is None:
         best = most_probable([best, *_fit_wide_alone(fits, without, best, missing)], seed, 1)[0]
+    best = most_probable([best, *_fit_in_span_alone(fits, base, best, missing)], seed, 1)[0]
     widest, visited, refuted, dropped = best, set[Effects](), set[Effects](), set[Candidate]()
     while True:
         dropped |= {*best.effects}
@@ -167,6 +168,19 @@ def _fit_wide_alone(fits: Fits, without: Hypothesis, best: Hypothesis, missing: 
         return []
     linear = fits.linear(without, missing)
     asked = [((c,), {**without.estimate.named, **linear.gain((c,))[1]}) for c in linear.able if fits.settings.is_wide(c)]
+    return [h for h in fits.fit_all(asked) if h is not None]
+
+
+def _fit_in_span_alone(fits: Fits, base: Hypothesis, best: Hypothesis, missing: Sequence[Candidate]) -> list[Hypothesis]:
+    """Fit alone, in some runs, the effects that promise most there, where more than noise is left: other effects may make up for it."""
+    settings, spans = fits.settings, list_run_spans([run.file for run in fits.problem.runs])
+    if not (settings.linear_moves and spans) or best.only_noise(settings):
+        return []
+    linear = fits.linear(base, missing)
+    able = [c for c in linear.able if c.smooth and not settings.is_wide(c)]
+    sets = [select_longest_span(linear, [(*base.effects, replace(c, runs=runs)) for runs in spans], settings) for c in able]
+    ranked = sorted(((*linear.gain(effects), effects) for effects in sets), key=lambda each: -each[0])
+    asked = [(effects, {**base.estimate.named, **start}) for _, start, effects in ranked[: settings.fits_later_rounds]]
     return [h for h in fits.fit_all(asked) if h is not None]
 
 
