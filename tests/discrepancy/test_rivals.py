@@ -106,3 +106,32 @@ def test_a_group_without_a_rival_shares_its_probability() -> None:
     left = forward_backward._leave_out(other, [(one, 0.1), (other, 0.6), (third, 0.3)])
     assert {h.effects: p for h, p in left} == pytest.approx({one.effects: 0.25, third.effects: 0.75})
     assert forward_backward._leave_out(other, [(one, 0.0), (other, 1.0)]) == [(one, 1.0)]
+
+
+def test_what_acts_in_the_first_runs_may_be_what_acts_in_the_others() -> None:
+    """A payload hung on before the fourth run looks like masses that are missing in the first three."""
+    files = ("a.csv", "b.csv", "c.csv", "d.csv")
+    linear = SimpleNamespace(able=[PAYLOAD], gain=lambda effects: (0.5, {}))
+    fits: Any = SimpleNamespace(
+        settings=SETTINGS, linear=lambda *_: linear, problem=SimpleNamespace(runs=[SimpleNamespace(file=file) for file in files])
+    )
+    found = rivals._scores(fits, hypothesis((), 8.0), replace(MASSES, runs=files[:3]), [PAYLOAD])
+    assert {score.candidate.runs for score in found} == {(), files[:3], files[3:]}
+
+
+@pytest.mark.parametrize(("left", "fitted"), [(2.0, True), (0.01, False)])
+def test_effects_of_some_runs_are_fitted_alone_where_several_leave_more_than_noise(left: float, fitted: bool) -> None:
+    """Drifts and loads make up for a payload that was hung on between runs."""
+    files = ("a.csv", "b.csv", "c.csv")
+
+    class Spans(Table):
+        @property
+        def problem(self) -> Any:
+            return SimpleNamespace(runs=[SimpleNamespace(file=file) for file in files])
+
+        def linear(self, base: Hypothesis, _: object) -> Any:
+            return SimpleNamespace(gain=lambda effects: (0.9 if effects[-1].runs == files[1:] else 0.1, {}), able=[PAYLOAD], excess=8e3)
+
+    spans: Any = Spans(SETTINGS, {}, {})
+    found = forward_backward._fit_in_span_alone(spans, hypothesis((), 8.0), hypothesis((LOAD, GAIN), left), [PAYLOAD])
+    assert [h.effects for h in found] == [(replace(PAYLOAD, runs=files[1:]),)] * fitted

@@ -21,6 +21,9 @@ pytestmark = pytest.mark.slow
         pytest.param(101003, 480, id="a tendon that lost its whole tension"),
         pytest.param(120001, 187, id="creep, of which first order promises a tenth, and a clock"),
         pytest.param(120001, 243, id="an offset that leaves an eighth of the squared noise beside a turned tracker"),
+        pytest.param(130001, 123, id="a dead zone and a weak muscle, which are no scatter about another mean"),
+        pytest.param(130001, 128, id="scatter beside a payload and rigid plates, which is no weak muscle"),
+        pytest.param(150001, 7, id="a payload put on before the fourth run, which are no masses missing before"),
     ],
 )
 def test_it_is_right_now(seed: int, number: int) -> None:
