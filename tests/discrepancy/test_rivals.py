@@ -119,8 +119,12 @@ def test_what_acts_in_the_first_runs_may_be_what_acts_in_the_others() -> None:
     assert {score.candidate.runs for score in found} == {(), files[:3], files[3:]}
 
 
-@pytest.mark.parametrize(("left", "fitted"), [(2.0, True), (0.01, False)])
-def test_effects_of_some_runs_are_fitted_alone_where_several_leave_more_than_noise(left: float, fitted: bool) -> None:
+@pytest.mark.parametrize(
+    ("left", "always", "fitted"),
+    [(2.0, 6.0, True), (0.01, 6.0, False), (2.0, 0.1, False)],
+    ids=["more than noise left", "noise left", "explains most in all runs"],
+)
+def test_effects_of_some_runs_are_fitted_alone_where_several_leave_more_than_noise(left: float, always: float, fitted: bool) -> None:
     """Drifts and loads make up for a payload that was hung on between runs."""
     files = ("a.csv", "b.csv", "c.csv")
 
@@ -133,5 +137,6 @@ def test_effects_of_some_runs_are_fitted_alone_where_several_leave_more_than_noi
             return SimpleNamespace(gain=lambda effects: (0.9 if effects[-1].runs == files[1:] else 0.1, {}), able=[PAYLOAD], excess=8e3)
 
     spans: Any = Spans(SETTINGS, {}, {})
+    spans.done = {(PAYLOAD,): hypothesis((PAYLOAD,), always)}
     found = forward_backward._fit_in_span_alone(spans, hypothesis((), 8.0), hypothesis((LOAD, GAIN), left), [PAYLOAD])
     assert [h.effects for h in found] == [(replace(PAYLOAD, runs=files[1:]),)] * fitted

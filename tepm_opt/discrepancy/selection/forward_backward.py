@@ -172,7 +172,10 @@ def _fit_wide_alone(fits: Fits, without: Hypothesis, best: Hypothesis, missing: 
 
 
 def _fit_in_span_alone(fits: Fits, base: Hypothesis, best: Hypothesis, missing: Sequence[Candidate]) -> list[Hypothesis]:
-    """Fit alone, in some runs, the effects that promise most there, where more than noise is left: other effects may make up for it."""
+    """Fit alone, in some runs, the effects that promise most there, where more than noise is left: other effects may make up for one.
+
+    One that explains most in all runs acts in all.
+    """
     settings, spans = fits.settings, list_run_spans([run.file for run in fits.problem.runs])
     if not (settings.linear_moves and spans) or best.only_noise(settings):
         return []
@@ -181,6 +184,8 @@ def _fit_in_span_alone(fits: Fits, base: Hypothesis, best: Hypothesis, missing: 
     sets = [select_longest_span(linear, [(*base.effects, replace(c, runs=runs)) for runs in spans], settings) for c in able]
     ranked = sorted(((*linear.gain(effects), effects) for effects in sets), key=lambda each: -each[0])
     asked = [(effects, {**base.estimate.named, **start}) for _, start, effects in ranked[: settings.fits_later_rounds]]
+    always = fits.fit_all([((*base.effects, replace(effects[-1], runs=())), start) for effects, start in asked])
+    asked = [each for each, h in zip(asked, always, strict=True) if h is None or h.excess > settings.min_pair_share * base.excess]
     return [h for h in fits.fit_all(asked) if h is not None]
 
 
