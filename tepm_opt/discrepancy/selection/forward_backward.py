@@ -100,19 +100,8 @@ def explain(fits: Fits, missing: Sequence[Candidate], seed: int) -> Explanation:
     widest, visited, refuted, dropped = best, set[Effects](), set[Effects](), set[Candidate]()
     while True:
         dropped |= {*best.effects}
-        best, shares, groups = _eliminate(fits, best, missing, seed, refuted)
+        best, shares, groups = _eliminate_and_exchange(fits, best, missing, seed, refuted)
         dropped -= {*best.effects}
-        for _ in range(settings.max_effects):
-            weakest = min(groups.values(), key=lambda group: group[0][1], default=[(best, 1.0)])
-            better, weight = max(weakest, key=lambda pair: pair[1])
-            if better is best or weight < 0.5:
-                break
-            then = _eliminate(fits, fits.complete(better), missing, seed, {*refuted, best.effects})
-            if _takes_back(then[0], better, best, seed, settings):
-                groups = {e: _leave_out(better, group) for e, group in groups.items()}
-                continue
-            refuted.add(best.effects)
-            best, shares, groups = then
         if best.effects in visited or not settings.repeat_forward:
             break
         visited.add(best.effects)
@@ -128,6 +117,34 @@ def explain(fits: Fits, missing: Sequence[Candidate], seed: int) -> Explanation:
     unchanged = settings.chance_excess > 0 and best is without and best.only_noise(settings)
     tried, scores = list(fits.done.values()), [] if unchanged else fits.screen(base, missing)
     return Explanation(without, best, widest, tried, scores, shares, groups, base if fits.gauge_effects else None, settings)
+
+
+def _eliminate_and_exchange(
+    fits: Fits, best: Hypothesis, missing: Sequence[Candidate], seed: int, refuted: set[Effects]
+) -> tuple[Hypothesis, Shares, Groups]:
+    """Eliminate effects of a hypothesis, and exchange one for a more probable rival that holds by itself, as often as there is one.
+
+    Args:
+        fits: all fits so far.
+        best: the hypothesis.
+        missing: candidates.
+        seed: of random draws.
+        refuted: hypotheses that gave way to others, to which those exchanged are added.
+    """
+    settings = fits.settings
+    best, shares, groups = _eliminate(fits, best, missing, seed, refuted)
+    for _ in range(settings.max_effects):
+        weakest = min(groups.values(), key=lambda group: group[0][1], default=[(best, 1.0)])
+        better, weight = max(weakest, key=lambda pair: pair[1])
+        if better is best or weight < 0.5:
+            break
+        then = _eliminate(fits, fits.complete(better), missing, seed, {*refuted, best.effects})
+        if _takes_back(then[0], better, best, seed, settings):
+            groups = {e: _leave_out(better, group) for e, group in groups.items()}
+            continue
+        refuted.add(best.effects)
+        best, shares, groups = then
+    return best, shares, groups
 
 
 def _takes_back(then: Hypothesis, better: Hypothesis, best: Hypothesis, seed: int, settings: SearchSettings) -> bool:
