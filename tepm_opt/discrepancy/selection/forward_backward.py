@@ -100,8 +100,9 @@ def explain(fits: Fits, missing: Sequence[Candidate], seed: int) -> Explanation:
     widest, visited, refuted, dropped = best, set[Effects](), set[Effects](), set[Candidate]()
     while True:
         dropped |= {*best.effects}
-        best, shares, groups = _eliminate_and_exchange(fits, best, missing, seed, refuted)
+        best, shares, groups = _eliminate(fits, best, missing, seed, refuted)
         dropped -= {*best.effects}
+        best, shares, groups = _exchange(fits, (best, shares, groups), missing, seed, refuted)
         if best.effects in visited or not settings.repeat_forward:
             break
         visited.add(best.effects)
@@ -119,31 +120,30 @@ def explain(fits: Fits, missing: Sequence[Candidate], seed: int) -> Explanation:
     return Explanation(without, best, widest, tried, scores, shares, groups, base if fits.gauge_effects else None, settings)
 
 
-def _eliminate_and_exchange(
-    fits: Fits, best: Hypothesis, missing: Sequence[Candidate], seed: int, refuted: set[Effects]
+def _exchange(
+    fits: Fits, left: tuple[Hypothesis, Shares, Groups], missing: Sequence[Candidate], seed: int, refuted: set[Effects]
 ) -> tuple[Hypothesis, Shares, Groups]:
-    """Eliminate effects of a hypothesis, and exchange one for a more probable rival that holds by itself, as often as there is one.
+    """Exchange effects for more probable rivals that hold by themselves, the weakest first, as often as there are any.
 
     Args:
         fits: all fits so far.
-        best: the hypothesis.
+        left: what elimination left: the hypothesis with the effects' shares and rivals.
         missing: candidates.
         seed: of random draws.
-        refuted: hypotheses that gave way to others, to which those exchanged are added.
+        refuted: hypotheses that gave way to others; those exchanged are added.
     """
-    settings = fits.settings
-    best, shares, groups = _eliminate(fits, best, missing, seed, refuted)
-    for _ in range(settings.max_effects):
+    best, shares, groups = left
+    for _ in range(fits.settings.max_effects):
         weakest = min(groups.values(), key=lambda group: group[0][1], default=[(best, 1.0)])
         better, weight = max(weakest, key=lambda pair: pair[1])
         if better is best or weight < 0.5:
             break
         then = _eliminate(fits, fits.complete(better), missing, seed, {*refuted, best.effects})
-        if _takes_back(then[0], better, best, seed, settings):
+        if _takes_back(then[0], better, best, seed, fits.settings):
             groups = {e: _leave_out(better, group) for e, group in groups.items()}
-            continue
-        refuted.add(best.effects)
-        best, shares, groups = then
+        else:
+            refuted.add(best.effects)
+            best, shares, groups = then
     return best, shares, groups
 
 
