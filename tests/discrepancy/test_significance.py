@@ -41,10 +41,12 @@ def test_shapes_are_held() -> None:
 
 
 @pytest.mark.parametrize("acts", [True, False])
-def test_a_shape_that_acts_alone_is_a_strength(acts: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_shape_that_acts_alone_is_not_held(acts: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A regulator whose rate is limited chokes, but no time constant of it is known."""
     monkeypatch.setattr(significance, "_acts_without_strengths", lambda *_: acts)
-    assert significance.is_significant(estimate(0.0, 2.0, (0.1, 0.05), 0.0), WEAR, SearchSettings()) is acts
-    assert not significance.is_significant(estimate(0.0, 0.05, (0.1, 0.05), 0.0), WEAR, SearchSettings())
+    assert significance.is_significant(estimate(0.15, 2.0, (0.1, 2.0), 0.8), WEAR, SearchSettings()) is not acts
+    assert significance.is_significant(estimate(0.3, 2.0, (0.1, 2.0), 0.8), WEAR, SearchSettings())
+    assert not significance.is_significant(estimate(0.1, 2.0, (0.1, 0.05), 0.0), WEAR, SearchSettings())
 
 
 def test_no_direction_is_known_better_than_white_noise_allows() -> None:

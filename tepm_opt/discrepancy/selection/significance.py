@@ -17,17 +17,17 @@ from tepm_opt.solvers.mechanics.plant import PredictionError
 def is_significant(estimate: ParameterEstimate, effect: Candidate, settings: SearchSettings) -> bool:
     """Whether the size of an effect is at least `min_size_sigma` standard deviations from the size at which it vanishes.
 
-    A shape that is 0 where the effect vanishes counts as a strength where it acts alone, too, as a choke without a lag does.
+    Shapes that act by themselves are not held, as they may be all that acts: a regulator whose rate is limited chokes without a lag.
     """
-    if standard_deviations_from_null(estimate, effect) >= settings.min_size_sigma:
-        return True
-    also = [free.name for free in estimate.problem.free if free.name in effect.shapes and not effect.null[free.name]]
-    if not also or not _acts_without_strengths(estimate, effect, settings):
+    if standard_deviations_from_null(estimate, effect) < settings.min_size_sigma:
         return False
-    return standard_deviations_from_null(estimate, effect, also) >= settings.min_size_sigma
+    alone = [free.name for free in estimate.problem.free if free.name in effect.shapes and not effect.null[free.name]]
+    if not alone or not _acts_without_strengths(estimate, effect, settings):
+        return True
+    return standard_deviations_from_null(estimate, effect, alone) >= settings.min_size_sigma
 
 
-def standard_deviations_from_null(estimate: ParameterEstimate, effect: Candidate, also: Sequence[str] = ()) -> float:
+def standard_deviations_from_null(estimate: ParameterEstimate, effect: Candidate, following: Sequence[str] = ()) -> float:
     """Distance of an effect's strengths from their null values, in standard deviations.
 
     A single strength is compared with its own standard deviation; several by Wald's test (Transactions of the AMS 54, 1943), as the
@@ -37,11 +37,11 @@ def standard_deviations_from_null(estimate: ParameterEstimate, effect: Candidate
     Args:
         estimate: fit with the effect; its covariance allows for residuals that are not white.
         effect: with strengths that the fit has found.
-        also: full names of shapes that count as strengths.
+        following: full names of shapes that are not held.
     """
     names = [free.name for free in estimate.problem.free]
-    strengths = [k for k, name in enumerate(names) if name in effect.parameters and (name not in effect.shapes or name in also)]
-    shapes = [k for k, name in enumerate(names) if name in effect.shapes and name not in also]
+    strengths = [k for k, name in enumerate(names) if name in effect.parameters and name not in effect.shapes]
+    shapes = [k for k, name in enumerate(names) if name in effect.shapes and name not in following]
     if not strengths:
         return np.inf
     away = np.array([estimate.values[k] - effect.null[names[k]] for k in strengths]) / estimate.problem.scale[strengths]
