@@ -194,13 +194,14 @@ def _fit_in_span_alone(fits: Fits, base: Hypothesis, best: Hypothesis, missing: 
     One that explains most in all runs acts in all.
     """
     settings, spans = fits.settings, list_run_spans([run.file for run in fits.problem.runs])
-    if not (settings.linear_moves and spans) or best.only_noise(settings):
+    most = min(settings.fits_first_round, settings.fits_later_rounds) if len(base.effects) < settings.max_effects else 0
+    if not (settings.linear_moves and spans and most) or best.only_noise(settings):
         return []
     linear = fits.linear(base, missing)
     able = [c for c in linear.able if c.smooth and not settings.is_wide(c)]
     sets = [select_longest_span(linear, [(*base.effects, replace(c, runs=runs)) for runs in spans], settings) for c in able]
     ranked = sorted(((*linear.gain(effects), effects) for effects in sets), key=lambda each: -each[0])
-    asked = [(effects, {**base.estimate.named, **start}) for _, start, effects in ranked[: settings.fits_later_rounds]]
+    asked = [(effects, {**base.estimate.named, **start}) for _, start, effects in ranked[:most]]
     always = fits.fit_all([((*base.effects, replace(effects[-1], runs=())), start) for effects, start in asked])
     asked = [each for each, h in zip(asked, always, strict=True) if h is None or h.excess > settings.min_pair_share * base.excess]
     return [h for h in fits.fit_all(asked) if h is not None]
