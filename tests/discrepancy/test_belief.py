@@ -212,18 +212,27 @@ def test_a_wrong_damping_has_to_hold_against_the_drag_of_a_medium(kind: str, mon
     assert [each.effect_probability < 0.5 for each in doubts.values()] == ([True] if kind == "drag" else [])
 
 
+DAMPING = Candidate("parameter", "c_a", acts=("axial", "force", "measurement"))
+
+
 @pytest.mark.parametrize(
-    ("left", "beside", "others", "doubted"),
-    [(0.2, 0.1, (), True), (0.2, 0.19, (), False), (0.02, 0.005, (), False), (0.2, 0.1, (LOAD,), False)],
-    ids=["drag", "drag that says nothing", "only noise left", "one of two"],
+    ("effects", "left", "beside", "doubted"),
+    [
+        ((DAMPING,), 0.2, 0.1, True),
+        ((DAMPING,), 0.2, 0.19, False),
+        ((DAMPING,), 0.02, 0.005, False),
+        ((DAMPING, LOAD), 0.2, 0.1, False),
+        ((candidate("structural_friction"),), 0.2, 0.1, False),
+    ],
+    ids=["drag", "drag that says nothing", "only noise left", "one of two", "friction, whose form errs by speed"],
 )
-def test_a_single_effect_has_to_hold_against_a_drag_beside_it(
-    left: float, beside: float, others: tuple[Any, ...], doubted: bool, monkeypatch: pytest.MonkeyPatch
+def test_a_single_wrong_value_has_to_hold_against_a_drag_beside_it(
+    effects: tuple[Any, ...], left: float, beside: float, doubted: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In a bath the robot's damping, or creep, is found instead, and a drag beside it still says more."""
-    creep, counts = candidate("creep"), np.full(10, 10_000)
-    best = replace(hypothesis((creep, *others), left), evidence=Evidence(counts * (1 + left), counts, 1, np.zeros(1)))
-    found = Explanation(hypothesis((), 10.0), best, best, [best], [], {creep: 100.0}, {creep: [(best, 1.0)]})
+    """In a bath the robot's damping is found instead, and a drag beside it still says more."""
+    counts = np.full(10, 10_000)
+    best = replace(hypothesis(effects, left), evidence=Evidence(counts * (1 + left), counts, 1, np.zeros(1)))
+    found = Explanation(hypothesis((), 10.0), best, best, [best], [], {effects[0]: 100.0}, {effects[0]: [(best, 1.0)]})
     place = SimpleNamespace(kind="force", variable="speed", target="all", label="force[all](speed)")
     law = SimpleNamespace(place=place, evidence=Evidence(counts * (1 + beside), counts, 5, np.zeros(5)))
     monkeypatch.setattr(belief, "alternatives", lambda _: [law])

@@ -63,9 +63,9 @@ def alternative_law_odds(
     """Compare the effects of the best hypothesis with smooth laws in their place.
 
     A force of known form gives way to one by place beside it that surely predicts better, however little is left, unless a law elsewhere
-    surely predicts still better: then something else is left. Where more than noise is left, so does a single effect to a drag beside it,
-    and any effect competes with laws that act elsewhere. A law that predicts left-out data better, although it is only fitted to first
-    order, shows that the effect is a stand-in.
+    surely predicts still better: then something else is left. Where more than noise is left, so does a single wrong value of the robot
+    file to a drag beside it, and any effect competes with laws that act elsewhere. A law that predicts left-out data better, although it
+    is only fitted to first order, shows that the effect is a stand-in.
 
     Args:
         explanation: result of the search.
@@ -80,7 +80,7 @@ def alternative_law_odds(
         found = dict.fromkeys(pushing, spring) if spring else {}
     if best.only_noise(settings):
         return found
-    if len(best.effects) == 1 and not found and (drag := _force_beside(best, "speed", settings, seed, thresholds)):
+    if [effect.name for effect in best.effects] == [PARAMETER] and (drag := _force_beside(best, "speed", settings, seed, thresholds)):
         return dict.fromkeys(best.effects, drag)
     for effect in (effect for effect in best.effects if effect not in found):
         rest = explanation.best_without(effect)
