@@ -35,6 +35,7 @@ class RegulatorLag(Effect):
         Parameter("opening", "Pa", null=1e4, probe=1e4, low=0.0, high=1e5, finer=True),
     )
     further_probes = ({"filling_time": 1.0, "exhausting_time": 1.0},)
+    further_shapes = ({"filling_choke": 1e-6, "exhausting_choke": 1e-6},)  # valves that choke from small steps on
 
     def lag(self, parameters: Mapping[str, ca.SX]) -> Lag:
         return Lag(parameters["filling_time"], parameters["exhausting_time"])
