@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -97,8 +97,31 @@ def test_a_pair_in_the_place_of_scatter_is_not_compared_with_scatter_beside_it()
 def test_a_rival_that_does_not_hold_is_taken_back(left: str, excess: float, back: bool) -> None:
     """What elimination leaves of it would have been a rival by itself, and a worse one."""
     best, better = hypothesis((EFFECTS["s1"],), 0.02), hypothesis((EFFECTS["s2"], EFFECTS["s3"]), 0.02)
-    then = hypothesis(tuple(EFFECTS[label] for label in left.split()), excess)
-    assert forward_backward._takes_back(then, better, best, 0, SETTINGS) is back
+    then, table = hypothesis(tuple(EFFECTS[label] for label in left.split()), excess), Table(SETTINGS, {}, {})
+    assert forward_backward._takes_back(cast(Any, table), then, better, best, EFFECTS["s1"], 0) is back
+
+
+@pytest.mark.parametrize(("excess", "back"), [(0.06, False), (0.1, True)])
+def test_a_part_that_leaves_little_more_than_scatter_stays_in_its_place(excess: float, back: bool) -> None:
+    """Scatter has a parameter for every actuator, which take up some of what errors in the forms of others leave."""
+    best, better, then = hypothesis((SCATTER,), 0.02), hypothesis((GAIN, LOAD), 0.03), hypothesis((GAIN,), excess)
+    table = Table(SETTINGS, {}, {}, done={(): hypothesis((), 20.0)})
+    assert forward_backward._takes_back(cast(Any, table), then, better, best, SCATTER, 0) is back
+
+
+@pytest.mark.parametrize(
+    ("pair", "beside", "chosen"),
+    [(0.3, 0.25, True), (0.3, 0.01, False), (0.6, 0.25, False)],
+    ids=["no worse than scatter beside a load", "worse than that", "worse than scatter"],
+)
+def test_a_part_and_a_load_that_leave_less_than_scatter_take_its_place(pair: float, beside: float, chosen: bool) -> None:
+    """Unless scatter beside the load leaves much less still."""
+    best, both = hypothesis((SCATTER,), 0.5), hypothesis((GAIN, LOAD), pair)
+    table = Table(SETTINGS, {}, {})
+    table.done = {
+        h.effects: h for h in (hypothesis(tuple(sorted((SCATTER, LOAD), key=lambda c: c.label)), beside), hypothesis((LOAD,), 15.0))
+    }
+    assert rivals._outdoes_scatter(cast(Any, table), both, best, SCATTER) is chosen
 
 
 def test_a_group_without_a_rival_shares_its_probability() -> None:

@@ -51,7 +51,11 @@ def replacements(
     weight = _favour_centred(group, weight, settings)
     weight = _exclude_outdone_pairs(fits, group, weight, seed)
     most = largest_excess_of_parts(best, rest, effect, settings)
-    enough = [k for k, h in enumerate(group) if h.left <= most and h is not best and not _is_mixed_pair(h, best)]
+    enough = [
+        k
+        for k, h in enumerate(group)
+        if h is not best and (_outdoes_scatter(fits, h, best, effect) if _is_mixed_pair(h, best) else h.left <= most)
+    ]
     if enough:
         weight = np.eye(len(group))[min(enough, key=lambda k: group[k].left)]
     return list(zip(group, weight.tolist(), strict=True))
@@ -61,6 +65,23 @@ def _is_mixed_pair(hypothesis: Hypothesis, best: Hypothesis) -> bool:
     """Whether a part and something else, which can do much of what scatter does, are in the place of an effect of the best hypothesis."""
     new = [c for c in hypothesis.effects if c not in best.effects]
     return len(new) == 2 and bool(new[0].part) != bool(new[1].part)
+
+
+def _outdoes_scatter(fits: Fits, pair: Hypothesis, best: Hypothesis, effect: Candidate) -> bool:
+    """Whether a part and something else leave less than a wide effect in their place, and hardly more than it beside that something else.
+
+    Args:
+        fits: all fits so far.
+        pair: hypothesis with the two.
+        best: hypothesis with the effect.
+        effect: the effect.
+    """
+    (other,) = (c for c in pair.effects if c not in best.effects and not c.part)
+    if not fits.settings.is_wide(effect) or pair.left >= best.left or not may_act_beside(other, best.effects):
+        return False
+    start, rest = pair.estimate.named | best.estimate.named, (c for c in best.effects if c != effect)
+    beside, without = fits.fit_all([((*best.effects, other), start), ((*rest, other), start)])
+    return beside is not None and pair.left <= largest_excess_of_parts(beside, without, effect, fits.settings)
 
 
 def _favour_plain(group: Sequence[Hypothesis], weight: np.ndarray, settings: SearchSettings) -> np.ndarray:

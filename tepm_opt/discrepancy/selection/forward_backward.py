@@ -19,7 +19,14 @@ from tepm_opt.discrepancy.selection.matching_pursuit import (
     prune_insignificant,
     weigh_best_rival,
 )
-from tepm_opt.discrepancy.selection.ranking import beats, drop_richer_forms, fit_promising, fit_values_at_limits, most_probable
+from tepm_opt.discrepancy.selection.ranking import (
+    beats,
+    drop_richer_forms,
+    fit_promising,
+    fit_values_at_limits,
+    largest_excess_of_parts,
+    most_probable,
+)
 from tepm_opt.discrepancy.selection.run_subsets import list_helped_runs, list_run_spans, select_longest_span
 from tepm_opt.discrepancy.selection.screening import Score, screen_pairs
 from tepm_opt.solvers.identification.identify import Problem
@@ -133,13 +140,13 @@ def _exchange(
         refuted: hypotheses that gave way to others; those exchanged are added.
     """
     best, shares, groups = left
-    for _ in range(fits.settings.max_effects):
-        weakest = min(groups.values(), key=lambda group: group[0][1], default=[(best, 1.0)])
-        better, weight = max(weakest, key=lambda pair: pair[1])
+    for _ in range(fits.settings.max_effects if groups else 0):
+        weakest = min(groups, key=lambda effect: groups[effect][0][1])
+        better, weight = max(groups[weakest], key=lambda pair: pair[1])
         if better is best or weight < 0.5:
             break
         then = _eliminate(fits, fits.complete(better), missing, seed, {*refuted, best.effects})
-        if _takes_back(then[0], better, best, seed, fits.settings):
+        if _takes_back(fits, then[0], better, best, weakest, seed):
             groups = {e: _leave_out(better, group) for e, group in groups.items()}
         else:
             refuted.add(best.effects)
@@ -147,17 +154,22 @@ def _exchange(
     return best, shares, groups
 
 
-def _takes_back(then: Hypothesis, better: Hypothesis, best: Hypothesis, seed: int, settings: SearchSettings) -> bool:
+def _takes_back(fits: Fits, then: Hypothesis, better: Hypothesis, best: Hypothesis, effect: Candidate, seed: int) -> bool:
     """Whether what elimination leaves of a rival has no fewer effects than the hypothesis that it displaced, and surely predicts worse.
 
     Args:
+        fits: all fits so far.
         then: what is left of the rival.
         better: the rival.
         best: the hypothesis displaced.
+        effect: in whose place the rival has others; parts in that of a wide one may leave more.
         seed: of random draws.
-        settings: of the search.
     """
-    return then.effects != better.effects and len(then.effects) >= len(best.effects) and beats(best, then, seed, settings)
+    if then.effects == better.effects or len(then.effects) < len(best.effects):
+        return False
+    rest = fits.find(tuple(c for c in best.effects if c != effect))
+    enough = largest_excess_of_parts(best, rest, effect, fits.settings)
+    return then.left > enough and beats(best, then, seed, fits.settings)
 
 
 def _leave_out(rival: Hypothesis, group: list[tuple[Hypothesis, float]]) -> list[tuple[Hypothesis, float]]:
