@@ -68,7 +68,7 @@ class Table:
     def find(self, effects: Effects) -> Hypothesis | None:
         return self.done.get(tuple(sorted(effects, key=lambda c: c.label)))
 
-    def refit(self, effects: Effects, start: object) -> Hypothesis | None:
+    def refit(self, effects: Effects, start: object, _: str = "") -> Hypothesis | None:
         self.again = (*self.again, effects)
         return self.fit(effects, start)
 

@@ -89,6 +89,23 @@ def test_a_pair_in_the_place_of_scatter_is_not_compared_with_scatter_beside_it()
     assert not table.done
 
 
+@pytest.mark.parametrize(("left", "excess", "again"), [(0.3, 0.5, True), (0.3, 0.7, False), (0.01, 0.02, False)])
+def test_a_close_rival_is_fitted_again_from_the_best_fit(left: float, excess: float, again: bool) -> None:
+    """Which leaves less depends on the values of what both share, unless only noise is left."""
+    best, rival, table = hypothesis((PAYLOAD, LOAD), left), hypothesis((LOAD, MASSES), excess), Table(SETTINGS, {}, {})
+    best.estimate.named.update({"external_load.x": 0.1, "payload.mass": 0.02})
+    rival.estimate.named.update({"external_load.x": 0.2, "mass_distribution.plates": 0.3})
+    starts, better = [], hypothesis(rival.effects, excess / 2)
+
+    def refit(effects: Any, start: dict[str, float], stage: str) -> Hypothesis:
+        starts.append(start)
+        return better
+
+    cast(Any, table).refit = refit
+    assert rivals._refit_close(cast(Any, table), best, [rival]) == [better if again else rival]
+    assert starts == [{"external_load.x": 0.1, "mass_distribution.plates": 0.3, "payload.mass": 0.02}] * again
+
+
 @pytest.mark.parametrize(
     ("left", "excess", "back"),
     [("s2 s3", 0.5, False), ("s2", 0.5, True), ("s2", 0.01, False), ("", 0.5, False)],

@@ -223,7 +223,7 @@ def test_what_acts_always_is_more_probable_than_what_acts_in_some_runs(
     effect = replace(EFFECTS["s1"], runs=runs)
     rest, best, other = hypothesis((), 8.0), hypothesis((effect,), 1.0), hypothesis((EFFECTS["s2"],), 1.0)
     table: Any = Table(SearchSettings(), {}, {})
-    table.done = {h.effects: h for h in (rest, best)}
+    table.done = {h.effects: h for h in (rest, best, other)}
     monkeypatch.setattr(rivals, "fit_promising", lambda *_: [other])
     monkeypatch.setattr(rivals, "_scores", lambda *_: [])
     monkeypatch.setattr(rivals, "_fit_changes_in_pause", lambda *_: [])
@@ -255,7 +255,7 @@ def test_two_causes_must_say_more_than_one(monkeypatch: pytest.MonkeyPatch, exce
     """Where they predict left-out data a little better, they may only mend what other forms leave."""
     rest, best, both = hypothesis((), 8.0), hypothesis((PAYLOAD,), 1.0), hypothesis(TWO, excess)
     table: Any = Table(SearchSettings(), {}, {})
-    table.done = {h.effects: h for h in (rest, best)}
+    table.done = {h.effects: h for h in (rest, best, both)}
     monkeypatch.setattr(rivals, "_fit_pair", lambda *_: [both])
     monkeypatch.setattr(rivals, "_scores", lambda *_: [])
     found = rivals.replacements(table, best, PAYLOAD, [PAYLOAD, *TWO], 0)
@@ -289,7 +289,7 @@ def test_two_parts_that_leave_hardly_more_are_no_scatter_of_all(
     parts = Candidate("actuator_gain", "13", {"a": 0.0}, part="actuator"), Candidate("actuator_offset", "12", {"b": 0.0}, part="actuator")
     rest, best, both = hypothesis((), 8.0), hypothesis((scatter,), left), hypothesis(parts, excess)
     table: Any = Table(SearchSettings(), {}, {})
-    table.done = {h.effects: h for h in (rest, best)}
+    table.done = {h.effects: h for h in (rest, best, both)}
     monkeypatch.setattr(rivals, "_fit_pair", lambda *_: [both])
     monkeypatch.setattr(rivals, "_scores", lambda *_: [])
     found = {h.effects: p for h, p in rivals.replacements(table, best, scatter, [scatter, *parts], 0)}

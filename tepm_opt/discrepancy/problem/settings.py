@@ -99,7 +99,8 @@ class SearchSettings:
         all_runs_odds: alternatives: how many times as probable a cause in all runs is as one in some runs that fits alike.
         min_coincidence: alternatives: cosine from which the outputs of two effects are called the same.
         astray_ratio: alternatives: how many times the promised excess an earlier fit must leave to be repeated from the best fit.
-        max_repeated_fits: alternatives: most fits repeated so.
+        close_rival_ratio: alternatives: how many times the best excess a rival may leave to be fitted again from the best fit.
+        max_repeated_fits: alternatives: most fits repeated so, for each of both reasons.
         min_rich_parameters: alternatives: parameters from which an effect of the body may do what two others do together.
         rich_pair_candidates: alternatives: candidates, the best alone, that are tried in pairs in the place of such an effect.
         max_wide_pair_share: alternatives: share of the excess without a wide effect that a pair in its place may promise to leave.
@@ -187,6 +188,7 @@ class SearchSettings:
     all_runs_odds: float = 3.0
     min_coincidence: float = 0.98
     astray_ratio: float = 3.0
+    close_rival_ratio: float = 2.0
     max_repeated_fits: int = 2
     min_rich_parameters: int = 3
     rich_pair_candidates: int = 3

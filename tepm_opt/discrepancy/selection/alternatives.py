@@ -40,6 +40,7 @@ def replacements(
         more = (*_fit_changes_in_pause(fits, rest, effect, missing), *_fit_pair(fits, best, rest, effect, scores, missing))
         more = (*more, *fit_common_causes(fits, best, rest, effect, missing), *fit_values_at_limits(fits, rest, missing, best))
         others += [h for h in more if h not in others]
+        others = _refit_close(fits, best, others)
     others = [h for h in others if all(is_significant(h.estimate, c, settings) for c in h.effects if c not in best.effects)]
     other_forms = [h for h in others if effect in h.effects or all(c.form_of != effect.form_of for c in h.effects)]
     others = [h for h in others if h in other_forms or beats(h, best, seed, settings)]
@@ -166,6 +167,20 @@ def _start_from_best(fits: Fits, best: Hypothesis, rest: Hypothesis, scores: lis
     for _, effects, start in sorted(astray, key=lambda each: each[0])[: settings.max_repeated_fits]:
         fits.refit(effects, start)
     return found
+
+
+def _refit_close(fits: Fits, best: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Rivals, the closest fitted again from the best hypothesis' values of all that they share, where more than noise is left.
+
+    Which of two near alike effects leaves less depends on how well those beside them are fitted.
+    """
+    settings = fits.settings
+    if not settings.linear_moves or best.only_noise(settings):
+        return list(others)
+    close = sorted((h for h in others if h.left <= settings.close_rival_ratio * best.left), key=lambda h: h.left)
+    stage = f"beside {' '.join(c.full_label for c in best.effects)}:"
+    again = {h: fits.refit(h.effects, h.estimate.named | best.estimate.named, stage) for h in close[: settings.max_repeated_fits]}
+    return [again.get(h) or h for h in others]
 
 
 def _fit_pair(

@@ -146,12 +146,12 @@ class Fits:
         """The fit of these effects, if it has been done."""
         return self.done.get(_sort(effects))
 
-    def refit(self, effects: Effects, start: dict[str, float]) -> Hypothesis | None:
-        """The better of the fit of these effects, if it has been done, and another one from these first values."""
+    def refit(self, effects: Effects, start: dict[str, float], stage: str = "anew") -> Hypothesis | None:
+        """The better of the fit of these effects, if it has been done, and another one from these first values, kept by its stage."""
         effects, before = _sort(effects), self.find(effects)
         if before is None:
             return self.fit(effects, start)
-        found = self._fit_best(effects, [start], np.inf, "anew")
+        found = self._fit_best(effects, [start], np.inf, stage)
         if found is not None and found.estimate.cost < before.estimate.cost:
             self.done[effects] = found
         return self.done[effects]
@@ -179,7 +179,7 @@ class Fits:
         settings, label = self.settings, " ".join(c.full_label for c in effects)
         early = np.isfinite(bound) and f"early {label}" in self._kept
         kept = self._kept.get(f"early {label}" if early else f"{stage} {label}")
-        begun = [self.done[effects].estimate.named] if effects in self.done and stage != "anew" else _vary_shapes(effects, starts)
+        begun = [self.done[effects].estimate.named] if effects in self.done and stage in ("fit", "more") else _vary_shapes(effects, starts)
         free = collect_free_parameters(self.problem.free, self.problem.plant, effects)
         problem = replace(self.problem, plant=restrict_effects_to_runs(self.problem.plant, effects))
         steps, fits = 0 if kept else settings.max_iterations, []

@@ -23,6 +23,7 @@ pytestmark = pytest.mark.slow
         pytest.param(120001, 243, id="an offset that leaves an eighth of the squared noise beside a turned tracker"),
         pytest.param(130001, 123, id="a dead zone and a weak muscle, which are no scatter about another mean"),
         pytest.param(130001, 128, id="scatter beside a payload and rigid plates, which is no weak muscle"),
+        pytest.param(130001, 131, id="masses beside warm-up and friction, whose rival had been fitted better"),
         pytest.param(150001, 7, id="a payload put on before the fourth run, which are no masses missing before"),
         pytest.param(170001, 19, id="valves that choke, whose lag had been fitted as if they did not"),
         pytest.param(170001, 27, id="a shifted muscle beside warm-up and hardening, which is no scatter"),
