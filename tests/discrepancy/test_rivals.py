@@ -118,6 +118,14 @@ def test_a_rival_that_does_not_hold_is_taken_back(left: str, excess: float, back
     assert forward_backward._takes_back(cast(Any, table), then, better, best, EFFECTS["s1"], 0) is back
 
 
+def test_an_exchange_ends_where_elimination_leaves_no_effect(monkeypatch: pytest.MonkeyPatch) -> None:
+    best, better = hypothesis((EFFECTS["s1"],), 0.5), hypothesis((EFFECTS["s2"],), 0.4)
+    nothing, table = hypothesis((), 20.0), Table(SETTINGS, {}, {})
+    monkeypatch.setattr(forward_backward, "_eliminate", lambda *_: (nothing, {}, {}))
+    groups = {EFFECTS["s1"]: [(best, 0.1), (better, 0.9)]}
+    assert forward_backward._exchange(cast(Any, table), (best, {}, groups), [], 0, set()) == (nothing, {}, {})
+
+
 @pytest.mark.parametrize(("excess", "back"), [(0.06, False), (0.1, True)])
 def test_a_part_that_leaves_little_more_than_scatter_stays_in_its_place(excess: float, back: bool) -> None:
     """Scatter has a parameter for every actuator, which take up some of what errors in the forms of others leave."""

@@ -140,8 +140,10 @@ def _exchange(
         refuted: hypotheses that gave way to others; those exchanged are added.
     """
     best, shares, groups = left
-    for _ in range(fits.settings.max_effects if groups else 0):
-        weakest = min(groups, key=lambda effect: groups[effect][0][1])
+    for _ in range(fits.settings.max_effects):
+        if not groups:
+            break
+        weakest = min(groups, key=lambda effect, groups=groups: groups[effect][0][1])
         better, weight = max(groups[weakest], key=lambda pair: pair[1])
         if better is best or weight < 0.5:
             break
