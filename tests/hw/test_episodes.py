@@ -393,8 +393,8 @@ def test_many_episodes_with_a_two_wire_bus(build: Callable[[str, str], Path], li
 @pytest.mark.study
 @pytest.mark.parametrize("name", SABOTAGES)
 def test_sabotage_is_noticed(library: Path, tmp_path: Path, name: str) -> None:
-    """Whatever is taken from the firmware, episodes miss it."""
+    """Whatever is taken from the firmware, episodes miss it: the rarest, a trip, in one episode of 300."""
     firmware = SABOTAGES[name].build(tmp_path)
     with pytest.raises(AssertionError) as caught:
-        run_episodes(lambda **options: Board(library, firmware, **options), 300, 150, shrink=False)
+        run_episodes(lambda **options: Board(library, firmware, **options), 300, 1500, shrink=False)
     print(str(caught.value).partition("\n")[0])
