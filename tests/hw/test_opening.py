@@ -7,9 +7,11 @@ import pytest
 from tepm_opt.errors import InputError
 from tepm_opt.hw.board import rig as rigs
 from tepm_opt.hw.board.errors import LinkError
+from tepm_opt.hw.board.protocol import LIMITS, Message
 from tepm_opt.hw.board.rig import SerialRig, open_port, open_serial
 from tepm_opt.models.robot import load_robot
 from tests.hw.emulator.world import World
+from tests.hw.lines import FakeBoard
 
 ROBOT = load_robot("kang2017")
 
@@ -49,6 +51,21 @@ def test_a_robot_that_does_not_open_gives_its_port_free(monkeypatch: pytest.Monk
         open_serial("somewhere", ROBOT)
     assert port.closed
     assert log.closed
+
+
+def test_a_board_that_does_not_tell_its_limits_is_left_after_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It greets and answers everything else."""
+    board = FakeBoard(ROBOT)
+    tell = board.tell
+
+    def tell_without_limits(kind: Message, **values: object) -> None:
+        if kind is not LIMITS:
+            tell(kind, **values)
+
+    monkeypatch.setattr(board, "tell", tell_without_limits)
+    with pytest.raises(LinkError, match="the board does not tell its limits within 1 s"):
+        SerialRig(board, ROBOT, clock=board.clock, threaded=False)
+    assert 1.0 <= board.time < 1.3
 
 
 def test_samples_carry_what_the_tracker_saw(robot_world: World) -> None:
